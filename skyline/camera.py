@@ -1,4 +1,4 @@
-"""The geometry of a camera: pixels, places on its image, rays, azimuths and elevations.
+"""The geometry of a camera, from its pixels to azimuths and elevations.
 
 Nothing else in Skyline projects, levels or distorts, nor takes derivatives of any of these. Four
 kinds of coordinates follow one another:
@@ -64,11 +64,14 @@ class Projection(StrEnum):
 
     @property
     def is_panorama(self) -> bool:
-        """True if the photo was swept or stitched, rather than taken in one exposure."""
+        """True if the photo was swept or stitched from several exposures."""
         return self is not Projection.PERSPECTIVE
 
     def check_fov_deg(self, fov_deg: float) -> float:
-        """Return a horizontal field of view, or raise `InputError` if it is impossible."""
+        """Return a horizontal field of view.
+
+        Raises `InputError` if it is impossible.
+        """
         greatest = MAX_PANORAMA_DEG if self.is_panorama else MAX_FOV_DEG
         if not MIN_FOV_DEG <= fov_deg <= greatest:
             hint = (
@@ -86,11 +89,11 @@ class Projection(StrEnum):
     def rays(
         self, across: Float64Array, above: Float64Array, fov_deg: float
     ) -> tuple[Float64Array, Float64Array]:
-        """Return places u, v on an image of unit focal length for places in a photo.
+        """Return places u, v for places across a photo.
 
-        Through a lens u and v are right and up over forward: the ray is (u, v, 1). A panorama's
-        image is a cylinder: u is the azimuth from its middle, radians, v the tangent of the
-        elevation, and the ray is (sin u, v, cos u).
+        They are on an image of unit focal length. Through a lens u and v are right and up over
+        forward: the ray is (u, v, 1). A panorama's image is a cylinder: u is the azimuth from its
+        middle, radians, v the tangent of the elevation, and the ray is (sin u, v, cos u).
 
         Parameters
         ----------
@@ -108,7 +111,7 @@ class Projection(StrEnum):
     def places(
         self, u: Float64Array, v: Float64Array, fov_deg: float
     ) -> tuple[Float64Array, Float64Array]:
-        """Return the places across and above in a photo of rays u, v: the inverse of `rays`."""
+        """Return the places across and above of rays; the inverse of `rays`."""
         half = np.radians(fov_deg) / 2.0
         if self is Projection.PERSPECTIVE:
             return u / np.tan(half), v / np.tan(half)
@@ -121,7 +124,7 @@ class Projection(StrEnum):
         return half_rad if self.is_panorama else np.tan(half_rad)
 
     def fov_deg(self, half_width: Any) -> Any:
-        """Return the horizontal field of view of an image; the inverse of `half_width`."""
+        """Return the field of view of a half width; inverse of `half_width`."""
         half_rad = half_width if self.is_panorama else np.arctan(half_width)
         return np.degrees(2.0 * half_rad)
 
@@ -143,7 +146,7 @@ def from_middle(
 
 
 def wander_of(across: Float64Array) -> Float64Array:
-    """Return the ways in which the rows of a panorama wander up and down, at places across it.
+    """Return the ways in which a panorama's rows may wander.
 
     A panorama is joined from many exposures, and its horizon is seldom straight. Each of the ways,
     (..., 4), is a Legendre polynomial of ``across``, which is -1 and 1 at the sides. The lower
@@ -153,7 +156,7 @@ def wander_of(across: Float64Array) -> Float64Array:
 
 
 def wandered(across: Float64Array, wander: Sequence[float]) -> Float64Array:
-    """Return how far up the rows of a panorama have wandered, as tangents, at places across it.
+    """Return how far up a panorama's rows have wandered, as tangents.
 
     ``wander`` has a factor for each of the ways of `wander_of`.
     """
@@ -163,7 +166,7 @@ def wandered(across: Float64Array, wander: Sequence[float]) -> Float64Array:
 def undistorted(
     across: Float64Array, above: Float64Array, distortion: float
 ) -> tuple[Float64Array, Float64Array]:
-    """Return the places at which a lens without distortion would show what this lens shows.
+    """Return where a lens without distortion would show the same.
 
     The distortion k multiplies the distance r from the middle, in halves of the width, by
     1 + k r^2; it is positive for barrel distortion.
@@ -175,7 +178,10 @@ def undistorted(
 def distorted(
     across: Float64Array, above: Float64Array, distortion: float
 ) -> tuple[Float64Array, Float64Array]:
-    """Return the inverse of `undistorted`; NaN for places that the lens does not show."""
+    """Return the inverse of `undistorted`.
+
+    NaN for places that the lens does not show.
+    """
     if distortion == 0.0:
         return across, above
     aim = np.hypot(across, above)
@@ -197,12 +203,12 @@ def level(
     roll_deg: float,
     projection: Projection = Projection.PERSPECTIVE,
 ) -> tuple[Float64Array, Float64Array]:
-    """Return azimuths and elevation tangents of rays of a pitched and rolled camera.
+    """Return azimuths and elevation tangents of a camera's rays.
 
-    Azimuths are radians clockwise from the vertical plane of the optical axis, in (-pi, pi]. The
-    elevation tangent is up over horizontal distance. The pitch is the axis's angle above the
-    horizon; the roll turns the camera clockwise as seen from behind it. u and v are as in
-    `Rays`.
+    The camera is pitched and rolled. Azimuths are radians clockwise from the vertical plane of the
+    optical axis, in (-pi, pi]. The elevation tangent is up over horizontal distance. The pitch is
+    the axis's angle above the horizon; the roll turns the camera clockwise as seen from behind it.
+    u and v are as in `Rays`.
     """
     attitude = np.radians(pitch_deg), np.radians(roll_deg)
     right, up, forward = level_axes(u, v, *attitude, projection)
@@ -212,10 +218,11 @@ def level(
 def level_axes(
     u: Any, v: Any, pitch: Any, roll: Any, projection: Projection = Projection.PERSPECTIVE
 ) -> tuple[Any, Any, Any]:
-    """Return rays as right, up and forward components of a level camera; angles in radians.
+    """Return rays as components of a level camera.
 
-    A panorama's camera turns about an upright axis, so its pitch raises the rows equally all the
-    way round: tangents of a cylindrical photo, elevations of an equirectangular one.
+    They are right, up and forward; angles are in radians. A panorama's camera turns about an
+    upright axis, so its pitch raises the rows equally all the way round: tangents of a cylindrical
+    photo, elevations of an equirectangular one.
     """
     if projection.is_panorama:
         above, side = _raised(v, np.tan(pitch), projection)
@@ -230,9 +237,10 @@ def level_axes(
 
 
 def _raised(v: Any, tangent: Any, projection: Projection) -> tuple[Any, Any]:
-    """Return v raised by a pitch of a tangent, and 1, or -1 where it is raised past the zenith.
+    """Return v raised by a pitch, and the side it is on.
 
-    An equirectangular photo is raised by the angle.
+    ``tangent`` is the pitch's. The side is 1, or -1 where v is raised past the zenith. An
+    equirectangular photo is raised by the angle.
     """
     if projection is not Projection.EQUIRECTANGULAR:
         return v + tangent, 1.0
@@ -270,7 +278,10 @@ def project(
 def _axes_with_changes(
     u: Float64Array, v: Float64Array, pitch: Float64Array, roll: Float64Array
 ) -> tuple[tuple[Any, Any, Any], list[Float64Array]]:
-    """Return `level_axes` of a lens, and its derivatives (M, R, 3) by pitch, roll and log scale."""
+    """Return `level_axes` of a lens, and its derivatives.
+
+    They are (M, R, 3): by pitch, roll and log scale.
+    """
     right, up, forward = axes = level_axes(u, v, pitch, roll)
     cos_pitch, sin_pitch = np.cos(pitch), np.sin(pitch)
     above = v * np.cos(roll) - u * np.sin(roll)
@@ -291,7 +302,7 @@ def _panorama_with_changes(
     roll: Float64Array,
     projection: Projection,
 ) -> tuple[tuple[Any, Any, Any], list[Float64Array]]:
-    """Return `level_axes` of a panorama, and its derivatives (M, R, 3 + K).
+    """Return `level_axes` of a panorama, and its derivatives.
 
     They are by pitch, roll, log scale and warps. ``v_change`` (M, R) and ``wander`` (M, R, K) are
     the derivatives of v by the last two.
@@ -322,7 +333,7 @@ def _panorama_with_changes(
 def near_level_changes(
     azimuth: Float32Array, elevation_tan: Float32Array, slope: Float32Array, *, is_panorama: bool
 ) -> tuple[Float32Array, Float32Array, Float32Array]:
-    """Return how fast rays of a nearly level camera rise above a curve.
+    """Return how fast a nearly level camera's rays rise above a curve.
 
     The camera turns about its middle, so these are exact for a level camera that sees the horizon,
     and neglect products of the pitch, the roll and the elevations otherwise.
@@ -347,14 +358,20 @@ def near_level_changes(
 
 
 def fisheye_off_axis_rad(radius: Any) -> Any:
-    """Return the angle off the axis at a radius of a usual fisheye's image."""
+    """Return the angle off a fisheye's axis at a radius.
+
+    The radius is in a usual fisheye's image.
+    """
     return radius + _FISHEYE_TERM * radius**3
 
 
 def fisheye_rays(
     u: Float64Array, v: Float64Array, shrink: float
 ) -> tuple[Float64Array, Float64Array]:
-    """Return rays u, v of a lens for places on a fisheye's image, made ``shrink`` as large."""
+    """Return rays u, v of places on a fisheye's image.
+
+    The image is made ``shrink`` as large.
+    """
     radius = np.maximum(np.hypot(u, v), 1e-12)
     off_axis = np.minimum(fisheye_off_axis_rad(shrink * radius), _FARTHEST_FISHEYE_RAD)
     stretch = np.tan(off_axis) / radius
@@ -363,7 +380,7 @@ def fisheye_rays(
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ImagePoints:
-    """R points on an image of unit focal length, and the lens or panorama that drew it."""
+    """R points on an image of unit focal length, and its projection."""
 
     u: Float64Array
     """(R,) float64. Position to the right of the image's middle; see `Projection.rays`."""
@@ -390,23 +407,32 @@ class ImagePoints:
 
     @property
     def wander(self) -> Float64Array:
-        """Ways (R, 4) in which the rows of a panorama wander; (R, 0) for a lens."""
+        """Ways (R, 4) in which a panorama's rows wander; none for lenses."""
         if not self.is_panorama:
             return np.zeros((len(self.u), 0))
         return wander_of(self.u / self.half_width)
 
     def log_scale(self, fov_deg: Float64Array | float) -> Float64Array:
-        """Return the logarithm of the factor on u and v that gives each field of view."""
+        """Return the logarithm of the scale that gives a field of view.
+
+        The scale is the factor on u and v.
+        """
         half_width = self.projection.half_width(fov_deg)
         return np.asarray(np.log(half_width) - np.log(self.half_width))
 
     def fov_at(self, log_scale: Float64Array) -> Float64Array:
-        """Return the fields of view, degrees, of factors on u and v; the inverse of `log_scale`."""
+        """Return the fields of view of factors on u and v.
+
+        They are in degrees; the inverse of `log_scale`.
+        """
         half_width = self.half_width * np.exp(log_scale)
         return np.asarray(self.projection.fov_deg(half_width))
 
     def scaled(self, scale: Any) -> tuple[Any, Any]:
-        """Return u and v for half widths ``scale`` times as large, in the dtype of ``scale``."""
+        """Return u and v for half widths ``scale`` times as large.
+
+        They have the dtype of ``scale``.
+        """
         u, v = (ray.astype(scale.dtype) for ray in (self.u, self.v))
         if self.projection is Projection.EQUIRECTANGULAR:
             return u * scale, np.tan(np.arctan(v) * scale)
@@ -415,11 +441,11 @@ class ImagePoints:
     def levelled(
         self, pitch: Float32Array, roll: Float32Array, log_scale: Float32Array, lift: Any
     ) -> tuple[Float32Array, Float32Array]:
-        """Return azimuths and tangents of elevation (M, R) at M attitudes and scales.
+        """Return azimuths and elevation tangents (M, R) at M attitudes.
 
-        ``pitch``, ``roll`` and ``log_scale`` are (M, 1), angles in radians; ``lift`` (M, R) is
-        added to v. Azimuths of a lens are within a quarter turn of the axis, even for rays that
-        look back.
+        Each attitude has its own scale. ``pitch``, ``roll`` and ``log_scale`` are (M, 1), angles in
+        radians; ``lift`` (M, R) is added to v. Azimuths of a lens are within a quarter turn of the
+        axis, even for rays that look back.
         """
         u, v = self.scaled(np.exp(log_scale))
         right, up, forward = level_axes(u, v + lift, pitch, roll, self.projection)
@@ -514,7 +540,10 @@ class Camera:
     def pixels(
         self, grid_azimuth_deg: ArrayLike, elevation_tan: ArrayLike
     ) -> tuple[Float64Array, Float64Array]:
-        """Return the columns and rows at which directions appear; NaN for those not in front."""
+        """Return the columns and rows at which directions appear.
+
+        NaN for directions that are not in front.
+        """
         turn = np.radians(np.asarray(grid_azimuth_deg, dtype=np.float64) - self.grid_heading_deg)
         tangent = np.asarray(elevation_tan, dtype=np.float64)
         u, v = project(turn, tangent, self.pitch_deg, self.roll_deg, self.projection)

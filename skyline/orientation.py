@@ -28,15 +28,13 @@ from skyline.geodesy.degrees import in_turn
 from skyline.geodesy.earth import Curvature
 from skyline.match import confidence, projections
 from skyline.match.config import MatchConfig
-from skyline.match.matcher import named_skyline
 from skyline.match.prior import (
-    GPS_SD_M,
-    LEAST_GPS_SD_M,
     EyeHeightPrior,
     KnownGround,
     PlacePrior,
     Prior,
     Standing,
+    position_sd_m,
 )
 from skyline.match.rays import Rays
 from skyline.match.refine import VIEW_WIDTH, Effort, Particles, Refinement
@@ -47,6 +45,7 @@ from skyline.match.solver import TEMPERATURE
 from skyline.match.verdict import refusal_of, too_little
 from skyline.photo.exif import NotedPlace
 from skyline.photo.image import Picture
+from skyline.photo.read import named_skyline
 from skyline.photo.skyline import PhotoSkyline
 from skyline.pose import Pose, Poses
 from skyline.render.context import Releasable
@@ -73,33 +72,61 @@ LEAST_CONFIDENCE = 0.85
 """Least confidence of a heading that is trusted. It was chosen on the Sierra, Rofental and Everest:
 none of 169 photos from other regions reaches it, and 2 % of the headings that reach it are wrong.
 At 0.8, 4 % are wrong."""
-_MOST_WITHIN_M = 500.0
-"""Places that are known less well are searched for: that is a match."""
-_RING = 8
-"""Places rendered around the known one."""
-_TAKEOFF_M = 200.0
-"""Usual distance of a drone from its take-off; it must stay in sight of its pilot."""
-_HEADINGS, _PLACES = 48, 32
-"""Numbers of fits that are refined: the best fit of each heading, and the best of all fits."""
-_SEPARATION_M, _TURN_DEG = 15.0, 4.0
-"""Fits nearer to a better one, that look within this angle of it, are the same."""
-_APART_DEG = 10.0
-"""Poses that look within this angle of each other are one answer."""
-_RIVALS = 6
-"""Best poses of other headings that are kept to the end: their fits show how sure a heading is."""
+
+
+@dataclass(frozen=True, slots=True)
+class HeadingSearch:
+    """Which eyes and fits the search for a heading tries."""
+
+    most_within_m: float = 500.0
+    """Greatest error of the place. A place that is known less well is searched for by a match."""
+    ring: int = 8
+    """Places rendered around the known one."""
+    takeoff_m: float = 200.0
+    """Usual distance of a drone from its take-off; it must stay in sight of its pilot."""
+    headings: int = 48
+    """Fits that are refined: the best one of each of so many headings."""
+    places: int = 32
+    """Fits that are refined besides: the best ones of all."""
+    separation_m: float = 15.0
+    """Fits nearer to a better one than this, that look its way, are the same."""
+    turn_deg: float = 4.0
+    """Fits look the same way within this angle."""
+    apart_deg: float = 10.0
+    """Refined poses that look within this angle of each other are one answer."""
+    rivals: int = 6
+    """Best poses of other headings that are kept to the end: their fits show how sure a heading is.
+    """
+
+
+_SEARCH = HeadingSearch()
 _EFFORT = Effort(
     shortlist=80, particles=80, likeliest=0, rounds=5, keep_share=0.6, keep_least=10,
     restarts=2, weighed=8, finalists=8, final_rounds=4,
 )  # fmt: skip
-_SAME_EYE_SDS, _SAME_EYE_SHARE = 3.0, 0.2
-"""Eyes are the same that differ in height by less than so many deviations of the terrain model, or
-by less than this share of their height above the ground, by which distances of the ground grow."""
-_CLOSE_EYE = TEMPERATURE * math.log(LEAST_CONFIDENCE / (1.0 - LEAST_CONFIDENCE))
-"""An eye of another height whose cost is higher by less is too likely to trust the best one."""
-_FAR_SD = 4.0
-"""A pose farther from the known place than so many of its standard errors is of another place."""
-_CLOSE = 20.0
-"""A heading whose cost is higher by less than this is named in a refusal."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Doubts:
+    """What speaks against the best pose at a known place."""
+
+    eye_sds: float = 3.0
+    """Eyes are the same if their heights differ by less than so many deviations of the terrain
+    model's heights."""
+    eye_share: float = 0.2
+    """Eyes are also the same if their heights differ by less than this share of the height above
+    the ground, since distances of the ground grow by this share."""
+    eye_cost: float = TEMPERATURE * math.log(LEAST_CONFIDENCE / (1.0 - LEAST_CONFIDENCE))
+    """An eye of another height whose cost is higher by less than this makes the best one
+    doubtful."""
+    far_sds: float = 4.0
+    """A pose farther from the known place than so many of its standard errors is of another place.
+    """
+    named_cost: float = 20.0
+    """A heading whose cost is higher by less than this is named in a refusal."""
+
+
+_DOUBTS = _Doubts()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -155,7 +182,7 @@ class Orientation:
         return to_dataframe([self])
 
     def to_row(self) -> dict[str, Any]:
-        """Return the orientation as a row of the table that ``skyline orient -o`` writes."""
+        """Return the row of ``skyline orient -o``."""
         row: dict[str, Any] = {"photo": printable(self.name), "trusted": int(not self.refusal)}
         for angle in ("heading", "pitch", "roll", "fov"):
             row[f"{angle}_deg"] = getattr(self.pose, f"{angle}_deg", None)
@@ -195,9 +222,9 @@ class Orientation:
 
 
 class Orienter(Releasable):
-    """Finds how cameras were held at one place, for any number of photos from there.
+    """Finds how cameras were held at one place.
 
-    Only the thread that makes it may use it.
+    It serves any number of photos from there. Only the thread that makes it may use it.
 
     Parameters
     ----------
@@ -230,17 +257,19 @@ class Orienter(Releasable):
         elevation_m: float | None = None,
         within_m: float = DEFAULT_WITHIN_M,
     ) -> None:
-        if not 0.0 < within_m <= _MOST_WITHIN_M:
+        if not 0.0 < within_m <= _SEARCH.most_within_m:
             raise InputError(
                 f"the place is known to {within_m:g} m; expected above 0, at most "
-                f"{_MOST_WITHIN_M:g}: search a wider area with skyline match"
+                f"{_SEARCH.most_within_m:g}: search a wider area with skyline match"
             )
-        self.terrain, self.curvature = read_dem(dem), Curvature()
+        self.terrain = read_dem(dem)
+        self.curvature = Curvature()
         self.frame = self.terrain.frame
         self._within_m = within_m
         ground = stand_at_one(self.terrain, lon=lon, lat=lat, eye_height_m=0.0)
         self._east, self._north = float(ground.easting_m[0]), float(ground.northing_m[0])
-        self._ground_m, self._elevation_m = float(ground.eye_elevation_m[0]), elevation_m
+        self._ground_m = float(ground.eye_elevation_m[0])
+        self._elevation_m = elevation_m
         if elevation_m is not None:
             lowest_m = self._around(within_m).eye_elevation_m.min() - DEFAULT_EYE_HEIGHT_M
             check_eye_elevation(elevation_m, float(lowest_m))
@@ -252,13 +281,16 @@ class Orienter(Releasable):
         self._model = confidence.models("orientation.json")[confidence.ORIENTED]
 
     def _around(self, away_m: float) -> Viewpoints:
-        """Return eyes at the known place and on a ring around it, 2 m above the ground."""
-        ring = away_m * np.exp(2j * np.pi * np.arange(_RING) / _RING)
+        """Return eyes at the known place and on a ring around it."""
+        ring = away_m * np.exp(2j * np.pi * np.arange(_SEARCH.ring) / _SEARCH.ring)
         around = complex(self._east, self._north) + np.concatenate([[0.0], ring])
         return stand_where_possible(self.terrain, around.real, around.imag)[0]
 
     def _retriever_at(self, elevation_m: float | None) -> Retriever:
-        """Return a retriever of poses of eyes at an elevation; by default on the ground."""
+        """Return a retriever of poses of eyes at an elevation.
+
+        By default they stand on the ground.
+        """
         eyes = self._around(self._within_m)
         if elevation_m is not None:
             np.maximum(eyes.eye_elevation_m, elevation_m, out=eyes.eye_elevation_m)
@@ -266,17 +298,17 @@ class Orienter(Releasable):
         return Retriever(places, self._scene.ground_m)
 
     def _standings(self, noted: NotedPlace) -> list[Standing]:
-        """Return the ways in which the eye may stand at the known place."""
+        """Return the ways of standing at the known place."""
         height_sd_m = self._scene.height_sd_m
         if self._elevation_m is not None:
             above_m = max(DEFAULT_EYE_HEIGHT_M, self._elevation_m - self._ground_m)
             return [Standing(EyeHeightPrior(above_m, height_sd_m), self._elevation_m)]
-        reliefs_m = self._relief_m(self._within_m), self._relief_m(_TAKEOFF_M)
+        reliefs_m = self._relief_m(self._within_m), self._relief_m(_SEARCH.takeoff_m)
         ground = KnownGround(self._ground_m, *reliefs_m, height_sd_m)
         return Standing.of_noted(noted, ground)
 
     def _relief_m(self, away_m: float) -> float:
-        """Return the rms difference of the ground so far away from that of the place."""
+        """Return the ground's rms height on a ring above the place."""
         ground_m = self._around(away_m).eye_elevation_m - DEFAULT_EYE_HEIGHT_M
         return math.sqrt(np.mean((ground_m - self._ground_m) ** 2))
 
@@ -289,9 +321,10 @@ class Orienter(Releasable):
     def orient(
         self, photo: Picture | PhotoSkyline, fov_deg: float | None = None, name: str = ""
     ) -> Orientation:
-        """Find how the camera of a photo, a sky mask, a trace or a skyline was held.
+        """Find how the camera of a photo was held.
 
-        The compass direction that a photo notes counts as a hint.
+        The photo may be a sky mask, a trace or a skyline. The compass direction that a photo notes
+        counts as a hint.
 
         Parameters
         ----------
@@ -326,8 +359,10 @@ class Orienter(Releasable):
             if number > 0:
                 retriever = self._retriever_at(standing.elevation_m)
             fitted = retriever.fitted_all_round(rays)
-            each = fitted.suppress_non_maxima(_HEADINGS, np.inf, _TURN_DEG)
-            best = fitted.suppress_non_maxima(_PLACES, _SEPARATION_M, _TURN_DEG)
+            each = fitted.suppress_non_maxima(_SEARCH.headings, np.inf, _SEARCH.turn_deg)
+            best = fitted.suppress_non_maxima(
+                _SEARCH.places, _SEARCH.separation_m, _SEARCH.turn_deg
+            )
             refinement = self._refinement(rays, skyline.noted, standing)
             poses = refinement.run(fitted[np.union1d(each, best)])
             found.append(replace(poses, cost=poses.cost + TEMPERATURE * standing.cost))
@@ -337,12 +372,12 @@ class Orienter(Releasable):
     def _refinement(
         self, rays: Rays, noted: NotedPlace, standing: Standing
     ) -> "_RefinementByHeading":
-        """Return the refinement of a photo's rays, with what is known of its pose."""
+        """Return the refinement of a photo's rays, with its prior."""
         prior = Prior(noted=self._known(noted, standing))
         return _RefinementByHeading(rays, self._scene, _EFFORT, prior, standing.eye)
 
     def _known(self, noted: NotedPlace, standing: Standing) -> PlacePrior:
-        """Return the known place as a prior, with the direction that a photo notes."""
+        """Return the known place and the photo's compass direction as a prior."""
         known = PlacePrior(
             self._east,
             self._north,
@@ -360,24 +395,23 @@ class Orienter(Releasable):
         )
 
     def _orientation(self, skyline: PhotoSkyline, rays: Rays, poses: Poses) -> Orientation:
-        """Return the best of poses as an orientation, with the reason if it cannot be trusted."""
+        """Return the best of poses as an orientation, refused if doubtful."""
         if not len(poses):
             return Orientation(skyline, None, refusal="no heading fits at this place")
         other_eye = self._other_eye(poses)
-        poses = poses[poses.suppress_non_maxima(len(poses), np.inf, _APART_DEG)]
+        poses = poses[poses.suppress_non_maxima(len(poses), np.inf, _SEARCH.apart_deg)]
         moved_m = self._moved_m(poses)
         figures = confidence.oriented_figures(poses, rays, moved_m)
         sure = float(self._model.probability(figures)[0])
         pose = replace(poses[:1].on_map(self.frame)[0], rank=None)
-        other = None
-        if sure >= projections.LEAST_CONFIDENCE:
-            above_m = float(self._eye_heights_m(poses[:1])[0])
-            standing = Standing(EyeHeightPrior(above_m, self._scene.height_sd_m))
-            other = projections.other_projection(
-                rays,
-                Poses.of(pose),
-                lambda bent: self._refinement(bent, skyline.noted, standing),
-            )
+        above_m = float(self._eye_heights_m(poses[:1])[0])
+        standing = Standing(EyeHeightPrior(above_m, self._scene.height_sd_m))
+        other = projections.other_projection(
+            rays,
+            Poses.of(pose),
+            sure,
+            lambda bent: self._refinement(bent, skyline.noted, standing),
+        )
         refusal = refusal_of(
             pose,
             skyline,
@@ -394,18 +428,20 @@ class Orienter(Releasable):
             **errors_deg,
             confidence=sure,
             moved_m=float(moved_m[0]),
-            eye_height_m=float(self._eye_heights_m(poses[:1])[0]),
+            eye_height_m=above_m,
             refusal=refusal,
         )
 
     def _other_eye(self, poses: Poses) -> str | None:
-        """Return the refusal of a best pose that another standing rivals; None if none does."""
+        """Return the refusal of a pose that another standing rivals, or None."""
         heights_m = self._eye_heights_m(poses)
-        is_same = np.abs(in_turn(poses.grid_heading_deg - poses.grid_heading_deg[0])) < _APART_DEG
+        is_same = (
+            np.abs(in_turn(poses.grid_heading_deg - poses.grid_heading_deg[0])) < _SEARCH.apart_deg
+        )
         off_m = np.abs(poses.eye_elevation_m - poses.eye_elevation_m[0])
-        same_m = max(_SAME_EYE_SDS * self._scene.height_sd_m, _SAME_EYE_SHARE * heights_m[0])
+        same_m = max(_DOUBTS.eye_sds * self._scene.height_sd_m, _DOUBTS.eye_share * heights_m[0])
         is_other = is_same & (off_m > same_m)
-        is_close = poses.cost - poses.cost[0] < _CLOSE_EYE
+        is_close = poses.cost - poses.cost[0] < _DOUBTS.eye_cost
         rivals = np.flatnonzero(is_other & is_close)
         if not len(rivals):
             return None
@@ -426,8 +462,8 @@ class Orienter(Releasable):
         return np.abs(place_m - complex(self._east, self._north))
 
     def _far(self, moved_m: float) -> str | None:
-        """Return the refusal of a pose far from the known place; None if it is near."""
-        if moved_m <= _FAR_SD * self._within_m:
+        """Return the refusal of a pose far from the place, or None."""
+        if moved_m <= _DOUBTS.far_sds * self._within_m:
             return None
         return (
             f"the best pose is {moved_m:.0f} m from the place, which is known to "
@@ -435,12 +471,12 @@ class Orienter(Releasable):
         )
 
     def _doubt(self, poses: Poses, pose: Pose, sure: float) -> str | None:
-        """Return the refusal of a heading of too little confidence; None if it has enough."""
+        """Return the refusal of a heading of too little confidence, or None."""
         if sure >= LEAST_CONFIDENCE:
             return None
         doubt = f"the heading has confidence {sure:.2f}, {LEAST_CONFIDENCE:.2f} is needed"
         cost = poses.cost
-        if len(poses) > 1 and cost[1] - cost[0] < _CLOSE:
+        if len(poses) > 1 and cost[1] - cost[0] < _DOUBTS.named_cost:
             other_deg = (poses.grid_heading_deg[1] + pose.convergence_deg) % 360.0
             return f"{doubt}; a heading of {other_deg:.0f} degrees fits about as well"
         return f"{doubt}; {pose.residual_in_words}"
@@ -474,19 +510,22 @@ def orienters(terrain: HeightField) -> Iterator[Callable[[Place], Orienter]]:
 
 
 class _RefinementByHeading(Refinement):
-    """A refinement of poses at one place: other headings are the rivals, not other places."""
+    """A refinement at one place, where other headings are the rivals."""
 
     def survivors(self, particles: Particles, count: int) -> Particles:
-        """Return the particles of the next round: the best, and the best of each heading."""
+        """Return the particles of the next round.
+
+        They are the best ones, and the best of each heading.
+        """
         ordered = particles.best(len(particles))
         standing = self.poses(ordered)
-        rivals = standing.suppress_non_maxima(_RIVALS, np.inf, _APART_DEG)
+        rivals = standing.suppress_non_maxima(_SEARCH.rivals, np.inf, _SEARCH.apart_deg)
         return ordered[np.union1d(np.arange(min(count, len(ordered))), rivals)]
 
     def distinct(self, particles: Particles, count: int) -> Particles:
         """Return the best particle of each heading, best first."""
         standing = self.poses(particles)
-        return particles[standing.suppress_non_maxima(count, np.inf, _APART_DEG)]
+        return particles[standing.suppress_non_maxima(count, np.inf, _SEARCH.apart_deg)]
 
 
 def orient(
@@ -499,10 +538,10 @@ def orient(
     within_m: float | None = None,
     fov_deg: float | None = None,
 ) -> Orientation:
-    """Find how the camera of one photo was held at a known place; see `Orienter`.
+    """Find how a photo's camera was held at a known place.
 
-    Without ``lon`` and ``lat`` the photo's own GPS position is the place, with the error that the
-    photo notes.
+    See `Orienter`. Without ``lon`` and ``lat`` the photo's own GPS position is the place, with the
+    error that the photo notes.
 
     Raises
     ------
@@ -534,5 +573,4 @@ def noted_place(skyline: PhotoSkyline, name: str) -> Place:
         raise InputError(
             f"{printable(name)} notes no GPS position{aside}; give the place: --at LON,LAT"
         )
-    within_m = max(LEAST_GPS_SD_M, skyline.noted.accuracy_m or GPS_SD_M)
-    return (*skyline.noted.lonlat_deg, None, within_m)
+    return (*skyline.noted.lonlat_deg, None, position_sd_m(skyline.noted))

@@ -1,4 +1,4 @@
-"""Poses of a camera: one on the map, its record in JSON, its shapes there, and columns of many."""
+"""Poses of a camera: on the map, in records, and in columns."""
 
 import math
 import sys
@@ -58,7 +58,7 @@ EXPECTED_RECORD = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pose:
-    """A pose that the camera may have had, on the map and in degrees.
+    """A pose of the camera on the map, in degrees.
 
     Attributes
     ----------
@@ -134,14 +134,14 @@ class Pose:
 
     @property
     def origin(self) -> str:
-        """The source of the pose: "found, rank 1", "fitted" or "set by hand"."""
+        """Origin of the pose: "found, rank 1", "fitted" or "set by hand"."""
         if self.rank is not None:
             return f"found, rank {self.rank}"
         return "fitted" if self.refined else "set by hand"
 
     @property
     def name(self) -> str:
-        """Name among the poses of its photo: "candidate 2", "the fitted pose" and so on."""
+        """Name among the photo's poses, as in "candidate 2"."""
         if self.rank is not None:
             return f"candidate {self.rank}"
         return "the fitted pose" if self.refined else "the pose set by hand"
@@ -153,10 +153,10 @@ class Pose:
 
     @property
     def radius_m(self) -> float | None:
-        """Radius of the circle that holds the true place with 68 % probability; None if unknown.
+        """Radius of the circle that holds the true place with 68 %.
 
-        The probability is that of a round normal distribution with the covariance's mean variance,
-        if the candidate is right.
+        None if unknown. The radius follows from a round normal distribution with the covariance's
+        mean variance, if the candidate is right.
         """
         if self.covariance_m2 is None:
             return None
@@ -165,11 +165,11 @@ class Pose:
 
     @property
     def grid_heading_deg(self) -> float:
-        """Grid azimuth of the optical axis, in [0, 360), as renderers take it."""
+        """Grid azimuth of the optical axis, in [0, 360)."""
         return (self.heading_deg - self.convergence_deg) % 360.0
 
     def camera(self, photo: PhotoSkyline) -> Camera:
-        """Return the camera that took a photo of the size and projection of ``photo``."""
+        """Return the camera that took a photo of ``photo``'s size and projection."""
         return Camera(
             projection=photo.projection,
             width_px=photo.width_px,
@@ -187,20 +187,24 @@ class Pose:
         return math.hypot(self.easting_m - other.easting_m, self.northing_m - other.northing_m)
 
     def turn_deg(self, other: "Pose") -> float:
-        """Return the angle between the headings of two poses, 0 to 180 degrees."""
+        """Return the angle between two poses' headings, 0 to 180 degrees."""
         return abs(float(in_turn(self.heading_deg - other.heading_deg)))
 
     def is_same_answer(self, other: "Pose") -> bool:
-        """Return whether another pose of the same frame is the same answer: near, and looks alike.
+        """Return whether another pose is the same answer.
 
-        A confidence is of an answer.
+        Both are in one frame; the same answer is near, and looks the same way. A confidence is of
+        an answer.
         """
         near = self.distance_m(other) <= RIGHT_WITHIN_M
         return near and self.turn_deg(other) <= SAME_VIEW_DEG
 
     @property
     def residual_in_words(self) -> str:
-        """The difference of the two skylines of a fitted pose, in words; empty for other poses."""
+        """The difference of a fitted pose's two skylines, in words.
+
+        It is empty for other poses.
+        """
         if self.residual_deg is None or self.terrain_share is None:
             return ""
         if self.terrain_share < _LEAST_SHARE:
@@ -211,14 +215,17 @@ class Pose:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the record of the pose: JSON on the page and of ``skyline match --json``.
+        """Return the pose's record, as ``skyline match --json`` prints it.
 
         `NotedPose.from_dict` reads it.
         """
         return {name: getattr(self, name) for name in _WRITTEN}
 
     def cells(self) -> list[str]:
-        """Return the values of `COLUMNS` as text; empty where a value is not known."""
+        """Return the values of `COLUMNS` as text.
+
+        They are empty where a value is not known.
+        """
         values = [(getattr(self, name), form) for name, form in COLUMNS.values()]
         return [
             "" if value is None or not math.isfinite(value) else format(value, form)
@@ -228,7 +235,7 @@ class Pose:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NotedPose:
-    """A pose as a program or a person has written it down, not yet on a terrain.
+    """A pose as it was written down, not yet on a terrain.
 
     Attributes
     ----------
@@ -305,7 +312,7 @@ class NotedPose:
 
 
 def _wander_in(record: Mapping[str, Any], source: str) -> tuple[float, ...]:
-    """Return how the rows of a panorama wander in a record of a pose; `InputError` for no list."""
+    """Return a record's wander of a panorama's rows; raises `InputError` for no list."""
     wander = record.get("wander") or []
     if not isinstance(wander, list | tuple) or len(wander) not in {0, len(WANDER_DEGREES)}:
         raise InputError(
@@ -316,7 +323,7 @@ def _wander_in(record: Mapping[str, Any], source: str) -> tuple[float, ...]:
 
 
 def _number(value: Any, name: str, source: str) -> float:
-    """Return a value of a record as a number; raises `InputError` for anything else."""
+    """Return a record's value as a number, or raise `InputError`."""
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
     if not is_number or not abs(value) <= sys.float_info.max:
         raise InputError(f"{source}: {name} is {str(value)[:40]}; expected a number")
@@ -325,7 +332,10 @@ def _number(value: Any, name: str, source: str) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ellipse:
-    """The ellipse that contains the true position with 95 % probability if errors are normal."""
+    """The ellipse that contains the true position, 95 % of the time.
+
+    It assumes normal errors.
+    """
 
     semi_major_m: float
     semi_minor_m: float
@@ -372,7 +382,7 @@ def view_wedge_m(candidate: Pose, reach_m: float) -> Float64Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FitFigures(Rows):
-    """Figures of M poses that were fitted by rendering; confidences are learned from them."""
+    """Figures of M poses fitted by rendering, from which confidences are learned."""
 
     covariance_m2: Float64Array
     """(M, 2, 2) float64. Covariance of easting and northing, square metres, including other optima
@@ -401,7 +411,7 @@ class FitFigures(Rows):
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Poses(Rows):
-    """M poses that a camera may have had, in a frame; what a matcher returns."""
+    """M poses of a camera in a frame, as matchers return them."""
 
     easting_m: Float64Array
     """(M,) float64. Easting of the eye in the frame."""
@@ -447,13 +457,19 @@ class Poses(Rows):
         )
 
     def figures(self) -> FitFigures:
-        """Return the figures of fits; raises `ValueError` for poses that were not rendered."""
+        """Return the figures of fits.
+
+        Raises `ValueError` for poses that were not rendered.
+        """
         if self.fits is None:
             raise ValueError("these poses were not fitted by rendering, so they have no figures")
         return self.fits
 
     def on_map(self, frame: Frame) -> tuple[Pose, ...]:
-        """Return each pose, best first, on the map; ``frame`` is the frame of the eastings."""
+        """Return each pose, best first, on the map.
+
+        ``frame`` is the frame of the eastings.
+        """
         lon, lat = frame.to_lonlat(easting_m=self.easting_m, northing_m=self.northing_m)
         convergence_deg = frame.convergence_deg(
             easting_m=self.easting_m, northing_m=self.northing_m
@@ -488,15 +504,16 @@ class Poses(Rows):
         return np.asarray(np.abs(place[:, np.newaxis] - place))
 
     def are_same(self, within_m: float, turn_deg: float) -> BoolArray:
-        """Return which pairs of poses (M, M) are near each other and look the same way."""
+        """Return which pairs of poses (M, M) are the same answer."""
         turn = np.abs(in_turn(self.grid_heading_deg - self.grid_heading_deg[:, np.newaxis]))
         return np.asarray((self.distances_m() <= within_m) & (turn <= turn_deg))
 
     def rival_margin(self, farther_than_m: float, turn_deg: float = 360.0) -> Float64Array:
-        """Return the cost (M,) of each pose's best rival minus the pose's own cost.
+        """Return each pose's margin (M,) over its best rival.
 
-        Rivals are the poses farther away than ``farther_than_m``, and those that look more than
-        ``turn_deg`` away. Infinite for a pose without rivals.
+        It is the cost of the rival minus the pose's own. Rivals are the poses farther away than
+        ``farther_than_m``, and those that look more than ``turn_deg`` away. Infinite for a pose
+        without rivals.
         """
         is_same = self.are_same(farther_than_m, turn_deg)
         rival = np.where(is_same, np.inf, self.cost).min(axis=1, initial=np.inf)
@@ -527,5 +544,8 @@ class Poses(Rows):
 
 
 def _tuple(value: Any) -> Any:
-    """Return a list, and the lists in it, as tuples; anything else as it is."""
+    """Return a list, and the lists in it, as tuples.
+
+    Anything else is returned unchanged.
+    """
     return tuple(map(_tuple, value)) if isinstance(value, list) else value

@@ -1,4 +1,4 @@
-"""The view of a camera at a given pose: the rendered skyline and summits in its photo.
+"""The view at a pose: rendered skyline and summits in its photo.
 
 A pose is a `Pose`; a picture has the size and the projection of a photo. Azimuths are grid
 azimuths in degrees, elevations the tangent of the elevation angle: up over horizontal distance.
@@ -56,7 +56,7 @@ _ROUNDED_M = 0.01
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sight:
-    """The skyline rendered at a pose, in pixels of a photo, and its difference from the photo's.
+    """The skyline rendered at a pose, compared with a photo's skyline.
 
     Attributes
     ----------
@@ -94,7 +94,7 @@ class SeenPeak(Sighting):
     distance_m : float
         Horizontal.
     elevation_m : float
-        Height in the gazetteer; where it has none, that of the summit on the terrain model.
+        Height in the gazetteer; where it has none, the height of the summit on the terrain model.
     """
 
     column_px: float
@@ -142,7 +142,9 @@ def peaks_in_picture(
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class PixelPlaces:
-    """The place on the terrain that each pixel of a photo shows; NaN for sky.
+    """The terrain that each pixel of a photo shows.
+
+    NaN for sky.
 
     Attributes
     ----------
@@ -200,9 +202,10 @@ class PixelPlaces:
 
 
 class Viewer(Releasable):
-    """The terrain as cameras see it: skylines, summits and the place in each pixel of a photo.
+    """The terrain as cameras see it.
 
-    Poses are in the terrain's frame: those of `pose`, or of a matcher of the same elevation model.
+    It shows skylines, summits and the place in each pixel of a photo. Poses are in the terrain's
+    frame: `pose` makes them, or a matcher of the same elevation model.
 
     Parameters
     ----------
@@ -211,7 +214,7 @@ class Viewer(Releasable):
     peaks : Peaks, optional
         Names of summits.
     curvature : Curvature, optional
-        Defaults to the Earth's with k = 0.13; a store's header has that of its matcher.
+        Defaults to the Earth's with k = 0.13. A store's header has the curvature of its matcher.
     render_thread : RenderThread, optional
         A thread that renders, so that any thread may call, with priority over a matcher that
         renders there too. Without one only the thread that first calls `look` may call it.
@@ -251,10 +254,11 @@ class Viewer(Releasable):
         fov_deg: float = 60.0,
         eye_height_m: float = DEFAULT_EYE_HEIGHT_M,
     ) -> Pose:
-        """Return the pose of a camera at a place; headings are clockwise from true north.
+        """Return the pose of a camera at a place.
 
-        Within one sample's spacing of a summit of the model the ground has the summit's height, as
-        in `skyline.horizon`; ``eye_height_m`` may be negative there.
+        Headings are clockwise from true north. Within one sample's spacing of a summit of the model
+        the ground has the summit's height, as in `skyline.horizon`; ``eye_height_m`` may be
+        negative there.
 
         Raises
         ------
@@ -281,11 +285,11 @@ class Viewer(Releasable):
         )
 
     def pose_of(self, noted: NotedPose) -> tuple[Pose, str]:
-        """Return a noted pose on the terrain, and a sentence if its eye is lifted, or "".
+        """Return a noted pose on the terrain, and a notice, or "".
 
-        An eye whose elevation is lower than a camera is held is lifted. Raises `OffMapError` for a
-        pose off the map and for an eye far below the ground, and `InputError` for an eye higher
-        than aeroplanes.
+        The notice is a sentence about an eye that is lifted. An eye whose elevation is lower than a
+        camera is held is lifted. Raises `OffMapError` for a pose off the map and for an eye far
+        below the ground, and `InputError` for an eye higher than aeroplanes.
         """
         height_m = DEFAULT_EYE_HEIGHT_M if noted.eye_height_m is None else noted.eye_height_m
         standing = self.pose(
@@ -304,7 +308,7 @@ class Viewer(Releasable):
         return (pose, "") if noted.eye_elevation_m is None else self._lifted(pose)
 
     def _lifted(self, pose: Pose) -> tuple[Pose, str]:
-        """Return a pose as `held` does, and a sentence if its eye was too low, or ""."""
+        """Return the pose as held, with a notice if it was lifted."""
         held = self.held(pose)
         height_m = LEAST_EYE_HEIGHT_M - (held.eye_elevation_m - pose.eye_elevation_m)
         if height_m >= LEAST_EYE_HEIGHT_M - _ROUNDED_M:
@@ -316,7 +320,7 @@ class Viewer(Releasable):
         )
 
     def held(self, pose: Pose) -> Pose:
-        """Return a pose whose eye is lifted to the least height at which a camera is held.
+        """Return a pose lifted to the least height of a camera.
 
         A view from the ground itself would show nothing but that ground. Every view of a pose is
         from this eye. Raises `OffMapError` for a pose off the map or on a hole.
@@ -324,7 +328,7 @@ class Viewer(Releasable):
         return replace(pose, eye_elevation_m=float(self._standing(pose).eye_elevation_m[0]))
 
     def look(self, pose: Pose, photo: PhotoSkyline) -> Sight:
-        """Return the skyline rendered at a pose, in pixels of the photo's picture.
+        """Return the skyline rendered at a pose, in the photo's pixels.
 
         Raises
         ------
@@ -341,7 +345,7 @@ class Viewer(Releasable):
     def places(
         self, pose: Pose, photo: PhotoSkyline, step: int = 1, progress: Progress | None = None
     ) -> PixelPlaces:
-        """Return the places on the terrain that are seen in the pixels of a photo.
+        """Return the places on the terrain in a photo's pixels.
 
         A place lies on the ray through its pixel's centre, where the ray first meets the surface of
         the terrain model, or a surface within a quarter of a pixel beside the ray.
@@ -396,7 +400,7 @@ class Viewer(Releasable):
         )
 
     def summits(self, pose: Pose, photo: PhotoSkyline) -> list[SeenPeak]:
-        """Return the summits visible in the photo of a pose, the most prominent first.
+        """Return the summits that a photo shows, most prominent first.
 
         Raises `OffMapError` for a pose off the map or on a hole, and `InputError` as `look`.
         """
@@ -416,7 +420,7 @@ class Viewer(Releasable):
         return visible_peaks(self.terrain, self._standing(pose), self.peaks, self.curvature)
 
     def _standing(self, pose: Pose) -> Viewpoints:
-        """Return the eye of a pose, as high as a camera is held at least; raises `OffMapError`."""
+        """Return a pose's eye, raised to the least height of a camera."""
         place = {"easting_m": pose.easting_m, "northing_m": pose.northing_m}
         eye = stand_on(self.terrain, **place, eye_height_m=LEAST_EYE_HEIGHT_M)
         np.maximum(eye.eye_elevation_m, pose.eye_elevation_m, out=eye.eye_elevation_m)

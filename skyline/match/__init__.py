@@ -1,1 +1,1 @@
-"""Matching: from a photo's skyline to a ranked list of places and poses."""
+"""Matching: from a photo's skyline to a ranked list of poses."""

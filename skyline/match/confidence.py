@@ -50,13 +50,16 @@ ORIENTED = "oriented, 1 degree"
 
 @dataclass(frozen=True, slots=True)
 class _FigureLimits:
-    """Limits within which figures are held: few examples that were learned from lie beyond."""
+    """Limits within which figures are held.
+
+    Few of the examples that were learned from lie beyond.
+    """
 
     deviations: float = 4.0
     """Greatest distance of a figure from its mean, in standard deviations: a product of two figures
     grows with the square."""
     min_margin: float = 1e-3
-    """Least margin of which a logarithm is taken."""
+    """Smaller margins count as this before their logarithm is taken."""
     max_margin: float = 60.0
     """Models learned with limits of up to 1,000 are no better, since the margins of queries from
     other regions can reach 124."""
@@ -91,9 +94,10 @@ class Logistic:
     bias: float
 
     def terms(self, figures: Mapping[str, Float64Array]) -> Float64Array:
-        """Return the terms (M, F (F + 3) / 2) of figures (M,) by name: figures, then products.
+        """Return the model's terms of figures (M,) by name.
 
-        Figures are in standard deviations from their means. A missing one counts as its mean.
+        They are (M, F (F + 3) / 2): the figures, then their products. Figures are in standard
+        deviations from their means. A missing one counts as its mean.
         """
         count = len(next(iter(figures.values())))
         unit = np.zeros((count, len(self.names)))
@@ -112,20 +116,24 @@ class Logistic:
 
 
 def refined_figures(poses: Poses, found: Poses, rays: Rays) -> dict[str, Float64Array]:
-    """Return the figures (M,) of refined poses by name, with those of the best retrieved pose.
+    """Return the figures (M,) of refined poses by name.
 
-    The skyline of another region can be bent to fit some place well, but seldom resembles that
-    place in retrieval; so the retrieval counts too. Rivals are more than 1 km away. In a
-    narrow search no retrieved pose lies so far away, and rivals are more than 200 m away. If all
-    retrieved poses are one place, there is no rival, and the odds are even.
+    The figures of the best retrieved pose are among them. The skyline of another region can be bent
+    to fit some place well, but seldom resembles that place in retrieval; so the retrieval counts
+    too. Rivals are more than 1 km away. In a narrow search no retrieved pose lies so far away, and
+    rivals are more than 200 m away. If all retrieved poses are one place, there is no rival, and
+    the odds are even.
     """
-    retrieved, best = retrieved_figures(found, rays), int(np.argmin(found.cost))
+    retrieved = retrieved_figures(found, rays)
+    best = int(np.argmin(found.cost))
     widest_m = found.distances_m().max(initial=0.0)
     margin = log_odds = np.zeros(len(poses))
     if widest_m > ROUGHLY_WITHIN_M:
-        margin, log_odds = poses.figures().far_margin, _log_odds(poses, ROUGHLY_WITHIN_M)
+        margin = poses.figures().far_margin
+        log_odds = _log_odds(poses, ROUGHLY_WITHIN_M)
     elif widest_m > RIGHT_WITHIN_M:
-        margin, log_odds = poses.figures().margin, _log_odds(poses, RIGHT_WITHIN_M)
+        margin = poses.figures().margin
+        log_odds = _log_odds(poses, RIGHT_WITHIN_M)
     if widest_m > RIGHT_WITHIN_M:
         log_odds = log_odds - 2.0 * np.log(max(1.0, _LIMITS.extent_m / widest_m))
     return pose_figures(poses, rays) | {
@@ -137,10 +145,10 @@ def refined_figures(poses: Poses, found: Poses, rays: Rays) -> dict[str, Float64
 
 
 def oriented_figures(poses: Poses, rays: Rays, moved_m: Float64Array) -> dict[str, Float64Array]:
-    """Return the figures (M,) of poses at a known place, one for each heading, by name.
+    """Return the figures (M,) of poses at a known place by name.
 
-    The margin is over the best other heading; ``moved_m`` (M,) is how far the poses lie from the
-    known place.
+    There is one pose for each heading. The margin is over the best other heading; ``moved_m`` (M,)
+    is how far the poses lie from the known place.
     """
     margin = poses.rival_margin(0.0, 0.0)
     figures = pose_figures(poses, rays)
@@ -155,7 +163,10 @@ def oriented_figures(poses: Poses, rays: Rays, moved_m: Float64Array) -> dict[st
 
 
 def pose_figures(poses: Poses, rays: Rays) -> dict[str, Float64Array]:
-    """Return the figures (M,) of fitted poses by name, without any search; see `FITTED`."""
+    """Return the figures (M,) of fitted poses by name.
+
+    They need no search; see `FITTED`.
+    """
     fits = poses.figures()
     trace_m2 = np.trace(fits.covariance_m2, axis1=1, axis2=2)
     lens_off = np.abs(rays.log_scale(poses.fov_deg)) / rays.log_scale_sd
@@ -172,10 +183,10 @@ def pose_figures(poses: Poses, rays: Rays) -> dict[str, Float64Array]:
 
 
 def _warp_figure(poses: Poses, rays: Rays) -> dict[str, Float64Array]:
-    """Return the rms (M,) of how poses warp the image, in standard deviations, by its name.
+    """Return by its name how strongly poses warp the image.
 
-    It is the distortion of a lens, or the wander of a panorama; see `Rays.warp_sd`. A lens
-    without distortion has no such figure.
+    The figure is a root mean square (M,), in standard deviations. It is the distortion of a lens,
+    or the wander of a panorama; see `Rays.warp_sd`. A lens without distortion has no such figure.
     """
     if not len(rays.warp_sd):
         return {}
@@ -187,7 +198,10 @@ def _warp_figure(poses: Poses, rays: Rays) -> dict[str, Float64Array]:
 
 
 def _log_odds(poses: Poses, within_m: float) -> Float64Array:
-    """Return the log odds (M,) of the poses near each one that look its way, against all others."""
+    """Return the log odds (M,) of each answer against all others.
+
+    The answer of a pose is all poses near it that look its way.
+    """
     weight = _weights(poses)
     own = poses.are_same(within_m, SAME_VIEW_DEG) @ weight
     odds = (own + _LIMITS.least_weight) / (weight.sum() - own + _LIMITS.least_weight)
@@ -212,12 +226,15 @@ def retrieved_figures(found: Poses, rays: Rays) -> dict[str, Float64Array]:
 
 
 def model_name(stage: str, within_m: float) -> str:
-    """Return the name of the model of a stage, refined, retrieved or fitted, for a distance."""
+    """Return the name of a stage's model (refined, retrieved, fitted)."""
     return f"{stage}, {within_m:g} m"
 
 
 def models(file: str = "confidence.json") -> dict[str, Logistic]:
-    """Return the learned models of a packaged file by name; see `model_name`, `ORIENTED`."""
+    """Return the learned models of a packaged file by name.
+
+    See `model_name` and `ORIENTED`.
+    """
     text = resources.files(__package__).joinpath(file).read_text(encoding="utf-8")
     return {name: Logistic(**model) for name, model in json.loads(text)["models"].items()}
 
@@ -225,12 +242,12 @@ def models(file: str = "confidence.json") -> dict[str, Logistic]:
 def shared_probabilities(
     learned: Mapping[str, Logistic], poses: Poses, figures: Mapping[str, Float64Array]
 ) -> tuple[Float64Array, Float64Array]:
-    """Return the probabilities (M,) that refined poses are right within 200 m, and within 1 km.
+    """Return the probabilities that refined poses are right.
 
-    The models were learned from best poses, and hold for the best one alone. All poses within the
-    distance that look the same way share the best pose's probability, and all other poses share
-    the rest. Shares follow the costs, and the shares of neighbouring poses add up. An infinite
-    cost has no share.
+    They are (M,) each: of an error up to 200 m, and up to 1 km. The models were learned from best
+    poses, and hold for the best one alone. All poses within the distance that look the same way
+    share the best pose's probability, and all other poses share the rest. Shares follow the costs,
+    and the shares of neighbouring poses add up. An infinite cost has no share.
     """
     best = int(np.argmin(poses.cost))
     of_best = {name: values[best : best + 1] for name, values in figures.items()}
@@ -245,11 +262,13 @@ def shared_probabilities(
 
 
 def _shares(is_near: BoolArray, weight: Float64Array, best: int, sure: float) -> Float64Array:
-    """Return each pose's part of a probability by the weights (M,) of the poses near it (M, M).
+    """Return each pose's part of a probability.
 
-    No other answer gets more of the probability for its weight than the best one does.
+    ``weight`` is (M,), ``is_near`` (M, M) says which poses are near each other. No other answer
+    gets more of the probability for its weight than the best one does.
     """
-    own, others = weight * is_near[best], weight * ~is_near[best]
+    own = weight * is_near[best]
+    others = weight * ~is_near[best]
     worth = sure / own.sum()
     rest = (1.0 - sure) / max(others.sum(), np.finfo(float).tiny)
     return np.asarray(is_near @ own * worth + is_near @ others * min(worth, rest))
@@ -258,7 +277,10 @@ def _shares(is_near: BoolArray, weight: Float64Array, best: int, sure: float) ->
 def probabilities(
     learned: Mapping[str, Logistic], stage: str, figures: Mapping[str, Float64Array]
 ) -> tuple[Float64Array, Float64Array]:
-    """Return the probabilities (M,) that poses are right within 200 m, and within 1 km."""
+    """Return the probabilities that poses are right.
+
+    They are (M,) each: of an error up to 200 m, and up to 1 km.
+    """
     near, roughly = (
         learned[model_name(stage, within_m)].probability(figures) for within_m in DISTANCES_M
     )
@@ -266,13 +288,16 @@ def probabilities(
 
 
 def _margin_or(found: Poses, least_m: float, otherwise: Float64Array) -> Float64Array:
-    """Return the margin (M,) of each pose over rivals, or ``otherwise`` (M,) without any."""
+    """Return the margin (M,) of each pose over its rivals.
+
+    It is ``otherwise`` (M,) for a pose without rivals.
+    """
     has_rivals = (found.distances_m() > least_m).any(axis=1)
     return np.where(has_rivals, found.rival_margin(least_m), otherwise)
 
 
 def _photo_figures(rays: Rays, count: int) -> dict[str, Float64Array]:
-    """Return the figures of a skyline's width and relief, and of its lens."""
+    """Return the figures of a skyline's width and relief, and its lens."""
     azimuth, y = level(rays.u, rays.v, 0.0, 0.0, rays.projection)
     # Relief is the deviation from a line: a pitch and a roll can explain the line.
     trend = np.polynomial.Polynomial.fit(azimuth, y, 1, w=np.sqrt(rays.weight))

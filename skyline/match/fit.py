@@ -1,4 +1,4 @@
-r"""Fits of a photo's pose to the stored skylines of places, without rendering.
+r"""Fits of a pose to the stored skylines of places, without rendering.
 
 With the distance D, tangent y and slope y' of a place's skyline at azimuth a, and the ground rising
 by g, an eye moved by t (east, north) sees to first order
@@ -70,10 +70,10 @@ GOOD_FIT = FitEffort(100, (0.5, 0.35, 0.25, 0.2, 0.2))
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Misses:
-    """How far the rays of M states miss the skylines of their places, in R rays."""
+    """How far the R rays of M states miss skylines."""
 
     tangent: Float32Array
-    """(M, R) float32. Tangents of rays minus those of the skyline; 0 where it is unknown."""
+    """(M, R) float32. Tangents of rays minus tangents of the skyline; 0 where it is unknown."""
     change: Float32Array
     """(M, P, R) float32. Derivatives of the misses by the columns of a state."""
     nearness: Float32Array
@@ -163,9 +163,10 @@ class CurveFit:
         return _Misses(np.where(known, miss, np.float32(0.0)), change, near, known)
 
     def _skyline_at(self, azimuth: Float32Array) -> tuple[Float32Array, Float32Array, Float32Array]:
-        """Return tangents, slopes and inverse distances of the places' skylines at azimuths (M, R).
+        """Return the places' skylines at azimuths (M, R).
 
-        Tangents are linear between bins, and slopes NaN where no skyline is stored.
+        These are their tangents, slopes and inverse distances. Tangents are linear between bins,
+        and slopes NaN where no skyline is stored.
         """
         count, bins = self._y.shape
         position = azimuth * np.float32(bins / (2.0 * np.pi)) - np.float32(0.5)
@@ -195,10 +196,10 @@ class CurveFit:
         return np.asarray(weight, dtype=np.float32)
 
     def _photo_error(self, state: Float32Array) -> FloatArray:
-        """Return the expected error (M,) of a photo's tangents, as large as a pixel.
+        """Return the expected error (M,) of a photo's tangents.
 
-        A camera measures pixels. If the error did not grow with the field of view, a small enough
-        one would make every miss small.
+        It is as large as a pixel. A camera measures pixels. If the error did not grow with the
+        field of view, a small enough one would make every miss small.
         """
         usual = float(self._rays.projection.half_width(REFERENCE_FOV_DEG))
         size = 1.0 if self._rays.is_panorama else self._rays.half_width / usual
@@ -206,7 +207,7 @@ class CurveFit:
         return np.asarray(np.radians(_ERRORS.photo_deg) * scale)
 
     def _inverse_variances(self) -> Float32Array:
-        """Return the prior inverse variances (M, P) of the columns of a state."""
+        """Return the prior inverse variances (M, P) of states."""
         columns = _WANDER + self._wander.shape[1]
         prior = np.zeros((len(self._places), columns), dtype=np.float32)
         prior[:, _PITCH] = np.radians(_ERRORS.pitch_sd_deg) ** -2.0
@@ -228,7 +229,7 @@ class CurveFit:
         return np.asarray(np.linalg.solve(normal, gradient[:, :, np.newaxis])[:, :, 0])
 
     def _bounded(self, state: Float32Array, step: Float32Array) -> Float32Array:
-        """Return states less a step, within the bounds of a step and of a state."""
+        """Return states less a bounded step, within the bounds of states."""
         limit = np.tile(_LONGEST_STEP, (len(state), 1))
         limit[:, _MOVE] *= self._deviation_m
         wander = np.repeat(limit[:, _PITCH, np.newaxis], self._wander.shape[1], axis=1)

@@ -1,4 +1,4 @@
-r"""Likelihood of a photo's residuals, given the errors of the photo and of the terrain model.
+r"""Likelihood of a photo's residuals under errors of photo and terrain.
 
 The residual of a column is the elevation of the photo's skyline above the rendered one, radians.
 It is the sum of
@@ -31,33 +31,38 @@ import numpy as np
 
 from skyline.arrays import Float64Array, Rows
 
-REACH_M = 300.0
-"""Distance at which the correlation of height errors has fallen to 1 / e."""
-_ROUGH_SHARE = 0.4
-"""Share of the heights' standard deviation that is independent from column to column."""
-ABOVE_SHARE, BELOW_SHARE = 0.15, 0.02
-"""Prior probabilities that a column shows something above the terrain's skyline, or below it."""
-RANGE_RAD = np.radians(15.0)
-"""Largest residual of a column that does not show terrain."""
-_BEYOND_SHARE = 0.3
-"""Prior probability that terrain past the data's edge rises in a column where it may."""
 
-_X_AT_ONE_OVER_E = 2.1461932206205825
-"""The x at which (1 + x) exp(-x) is 1 / e."""
-_JITTER = 1e-6
-_UNKNOWN_M = 1e9
-_LEAST = 1e-12
-_GREATEST_LOGIT = 50.0
-_LEAST_RISE = 0.1
-"""Smallest rise that is distinguished from none, in standard deviations of the errors."""
-_SCALE = (0.1, 1.3)
-"""Bounds of the common factor of all errors: down to a skyline without noise, and up by half a
-step between two of the solver's deviations."""
+@dataclass(frozen=True, slots=True)
+class ErrorModel:
+    """What is assumed about height errors and about columns without terrain."""
+
+    reach_m: float = 300.0
+    """Distance at which the correlation of height errors has fallen to 1 / e."""
+    rough_share: float = 0.4
+    """Share of the heights' standard deviation that is independent from column to column."""
+    above_share: float = 0.15
+    """Prior probability that a column shows a tree or a house above the terrain's skyline."""
+    below_share: float = 0.02
+    """Prior probability that a column lies below the terrain's skyline. Only errors of the
+    extraction put it there, so it is far smaller than `above_share`."""
+    range_rad: float = np.radians(15.0)
+    """Largest residual of a column that does not show terrain."""
+    beyond_share: float = 0.3
+    """Prior probability that terrain past the data's edge rises in a column where it may."""
+    least_rise_sds: float = 0.1
+    """Smallest rise that is distinguished from none, in standard deviations of the errors."""
+    least_factor: float = 0.1
+    """Least common factor of all errors; a skyline without noise needs it."""
+    greatest_factor: float = 1.3
+    """Greatest common factor of all errors: half a step between two of the solver's deviations."""
+
+
+_MODEL = ErrorModel()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HeightErrors(Rows):
-    """Effect of height errors with a standard deviation of 1 m on the R columns of M curves."""
+    """Effect of height errors of 1 m rms on M curves."""
 
     factor: Float64Array
     """(M, R, K) float64. Correlated residuals are ``factor @ z`` with K standard normal z."""
@@ -90,9 +95,10 @@ class HeightErrors(Rows):
         """
         rise_rad = np.full_like(blur_rad, np.nan) if rise_rad is None else rise_rad
         beyond_rad = np.zeros_like(blur_rad) if beyond_rad is None else beyond_rad
-        distance = np.where(np.isfinite(distance_m), distance_m, _UNKNOWN_M)
+        # Height errors hardly move a skyline as far away as an unknown one is taken to be.
+        distance = np.where(np.isfinite(distance_m), distance_m, 1e9)
         if not nodes:
-            reach_m = 2.0 / 3.0 * REACH_M
+            reach_m = 2.0 / 3.0 * _MODEL.reach_m
             shared = distance / (distance**2 + reach_m**2)
             rough = 1.0 / np.hypot(distance, reach_m)
             return cls(shared[..., np.newaxis], rough, blur_rad, rise_rad, beyond_rad)
@@ -104,10 +110,10 @@ class HeightErrors(Rows):
         to_eye = 0.5 - _correlation(np.abs(place))
         apart = np.abs(place[:, :, np.newaxis] - place[:, np.newaxis, :])
         covariance = _correlation(apart) + (to_eye[:, :, np.newaxis] + to_eye[:, np.newaxis, :])
-        root = np.linalg.cholesky(covariance + _JITTER * np.eye(len(node)))
+        root = np.linalg.cholesky(covariance + 1e-6 * np.eye(len(node)))
         return cls(
             between @ root / distance[..., np.newaxis],
-            _ROUGH_SHARE / np.hypot(distance, REACH_M / 3.0),
+            _MODEL.rough_share / np.hypot(distance, _MODEL.reach_m / 3.0),
             blur_rad,
             rise_rad,
             beyond_rad,
@@ -115,7 +121,8 @@ class HeightErrors(Rows):
 
 
 def _correlation(distance_m: Float64Array) -> Float64Array:
-    x = distance_m * (_X_AT_ONE_OVER_E / REACH_M)
+    # (1 + x) exp(-x) is 1 / e at this x.
+    x = distance_m * (2.1461932206205825 / _MODEL.reach_m)
     return np.asarray((1.0 + x) * np.exp(-x))
 
 
@@ -142,31 +149,35 @@ class Likelihood(Rows):
     """(M, K, K) float64. Inverse of I + factor^T weight factor."""
 
     def product(self, left: Float64Array, right: Float64Array) -> Float64Array:
-        """Return left^T C^-1 right, (M, P, Q), of (M, R, P) and (M, R, Q), C the covariance."""
+        """Return left^T C^-1 right (M, P, Q), C the covariance.
+
+        ``left`` is (M, R, P), ``right`` (M, R, Q).
+        """
         weighted = self.weight[..., np.newaxis] * right
         left_nodes = (self.weight[..., np.newaxis] * left).swapaxes(1, 2) @ self.factor
         right_nodes = self.inner @ (self.factor.swapaxes(1, 2) @ weighted)
         return np.asarray(left.swapaxes(1, 2) @ weighted - left_nodes @ right_nodes)
 
     def scaled(self) -> "Likelihood":
-        """Return the likelihood with all errors multiplied by the most likely common factor.
+        """Return the likelihood with all errors times their likeliest factor.
 
         The deviations that the solver chooses from are steps apart, and some residuals are smaller
         than any of them expects. If the expected errors were larger than the residuals, a wider
         lens, whose pixels are larger angles, would seem more likely.
         """
-        count = np.maximum(self.trusted_odds.sum(axis=1), _LEAST)
-        scale = np.clip(np.sqrt(2.0 * self.fit / count), *_SCALE)
+        count = np.maximum(self.trusted_odds.sum(axis=1), 1e-12)
+        common = np.sqrt(2.0 * self.fit / count)
+        common = np.clip(common, _MODEL.least_factor, _MODEL.greatest_factor)
         return replace(
             self,
-            cost=self.cost + count * np.log(scale) + self.fit * (scale**-2.0 - 1.0),
-            fit=self.fit / scale**2,
-            weight=self.weight / scale[:, np.newaxis] ** 2,
-            factor=self.factor * scale[:, np.newaxis, np.newaxis],
+            cost=self.cost + count * np.log(common) + self.fit * (common**-2.0 - 1.0),
+            fit=self.fit / common**2,
+            weight=self.weight / common[:, np.newaxis] ** 2,
+            factor=self.factor * common[:, np.newaxis, np.newaxis],
         )
 
-    def magnification_pull(self, residual_rad: Float64Array) -> Float64Array:
-        """Return how fast the cost (M,) falls as the log magnification rises.
+    def log_scale_pull(self, residual_rad: Float64Array) -> Float64Array:
+        """Return how fast the cost (M,) falls as `Rays.log_scale` rises.
 
         The residuals ``residual_rad`` (M, R), 0 where the terrain is unknown, are held fixed.
         """
@@ -192,66 +203,78 @@ def likelihood(
     angle_deg: Float64Array,
     height_m: Float64Array,
     odds: Float64Array,
-    magnified: Float64Array | float = 1.0,
+    scale: Float64Array | float = 1.0,
 ) -> Likelihood:
-    """Return the likelihood of residuals, with the odds of each column improved once.
+    """Return the likelihood of residuals.
 
-    ``residual_rad`` (M, R) is photo minus terrain, NaN where the terrain is unknown; such a column
-    is as likely as one that does not show terrain. ``trust`` (R,) is in the photo's columns,
-    ``odds`` (M, R) are the probabilities that they show terrain, to start from. ``angle_deg`` and
-    ``height_m`` (M,) are the standard deviations of the photo's error and of the model's heights.
-    ``magnified`` (M,) is the size of a pixel, as an angle, over that of the photo's assumed lens:
-    the photo's error is a number of pixels, and the likelihood a density of pixels.
+    The odds of each column are improved once. ``residual_rad`` (M, R) is photo minus terrain, NaN
+    where the terrain is unknown; such a column is as likely as one that does not show terrain.
+    ``trust`` (R,) is in the photo's columns, ``odds`` (M, R) are the probabilities that they show
+    terrain, to start from. ``angle_deg`` and ``height_m`` (M,) are the standard deviations of the
+    photo's error and of the model's heights. ``scale`` (M,) is the angle of a pixel, as a multiple
+    of its angle in the photo's assumed lens: the photo's error is a number of pixels, and the
+    likelihood is a density by pixels.
     """
-    magnified = np.broadcast_to(magnified, len(residual_rad))[:, np.newaxis]
+    scale = np.broadcast_to(scale, len(residual_rad))[:, np.newaxis]
     known = np.isfinite(residual_rad)
     residual = np.where(known, residual_rad, 0.0)
-    angle_rad = magnified * np.radians(angle_deg)[:, np.newaxis]
+    angle_rad = scale * np.radians(angle_deg)[:, np.newaxis]
     height_m = height_m[:, np.newaxis]
     variance = angle_rad**2 + (height_m * errors.rough) ** 2 + errors.blur_rad**2
     factor = height_m[..., np.newaxis] * errors.factor
     explained, inner, _ = _explained(residual, trust * odds * known / variance, factor)
     spread = ((factor @ inner) * factor).sum(axis=-1)
     off = residual - explained
-    bare: Float64Array | float = 1.0 - ABOVE_SHARE - BELOW_SHARE
-    other = np.where(residual >= 0.0, ABOVE_SHARE, BELOW_SHARE) / RANGE_RAD
-    limited, open_ = np.isfinite(errors.rise_rad), errors.beyond_rad > 0.0
+    bare: Float64Array | float = 1.0 - _MODEL.above_share - _MODEL.below_share
+    other = density_without_terrain(residual)
+    limited = np.isfinite(errors.rise_rad)
+    open_ = errors.beyond_rad > 0.0
     if limited.any():
-        shown = 1.0 - 2.0 * BELOW_SHARE
+        shown = 1.0 - 2.0 * _MODEL.below_share
         covered, density = _raised(off, errors.rise_rad, np.sqrt(variance + spread), shown)
         bare = np.where(limited, shown - covered, bare)
-        other = np.where(limited, magnified * (density + BELOW_SHARE / RANGE_RAD), other)
+        other = np.where(limited, scale * (density + _MODEL.below_share / _MODEL.range_rad), other)
     if open_.any():
         sd_rad = np.sqrt(variance + spread)
-        hidden, density = _raised(off, errors.beyond_rad, sd_rad, _BEYOND_SHARE)
+        hidden, density = _raised(off, errors.beyond_rad, sd_rad, _MODEL.beyond_share)
         bare = np.where(open_, bare * (1.0 - hidden), bare)
-        other = np.where(open_, other * (1.0 - hidden) + magnified * density, other)
-    terrain = np.log(bare) - 0.5 * np.log(2.0 * np.pi * variance / magnified**2)
+        other = np.where(open_, other * (1.0 - hidden) + scale * density, other)
+    terrain = np.log(bare) - 0.5 * np.log(2.0 * np.pi * variance / scale**2)
     other = np.log(other)
     logit = terrain - 0.5 * (off**2 + spread) / variance - other
-    odds = known / (1.0 + np.exp(-np.clip(logit, -_GREATEST_LOGIT, _GREATEST_LOGIT)))
+    odds = known / (1.0 + np.exp(-np.clip(logit, -50.0, 50.0)))
     weight = trust * odds / variance
     explained, inner, half_log_det = _explained(residual, weight, factor)
     rest = 1.0 - odds
-    entropy = odds * np.log(np.maximum(odds, _LEAST)) + rest * np.log(np.maximum(rest, _LEAST))
+    entropy = odds * np.log(np.maximum(odds, 1e-12)) + rest * np.log(np.maximum(rest, 1e-12))
     each = entropy - odds * terrain - rest * other
     fit = 0.5 * (weight * residual * (residual - explained)).sum(axis=1)
     cost = each @ trust + half_log_det + fit
     return Likelihood(cost, fit, odds, trust * odds, angle_rad**2 / variance, weight, factor, inner)
 
 
+def density_without_terrain(residual_rad: Float64Array) -> Float64Array:
+    """Return the density of residuals of columns that do not show terrain.
+
+    It includes the prior probability of such a column, and is larger above the terrain's skyline.
+    """
+    share = np.where(residual_rad >= 0.0, _MODEL.above_share, _MODEL.below_share)
+    return np.asarray(share / _MODEL.range_rad)
+
+
 def _raised(
     off_rad: Float64Array, rise_rad: Float64Array, sd_rad: Float64Array, share: float
 ) -> tuple[Float64Array, Float64Array]:
-    """Return the probability (M, R) that an object stands above the terrain, and a density.
+    """Return the odds and density of objects above the terrain.
 
-    The density is that probability times the density of the column's residual. The object's height
-    is uniform up to the rise, blurred by the errors. The probability is ``share`` for a rise far
-    above the errors, and falls as the rise shrinks.
+    The odds are the probability (M, R) that an object stands above it. The density is the
+    probability times the density of the column's residual. The object's height is uniform up to the
+    rise, blurred by the errors. The probability is ``share`` for a rise far above the errors, and
+    falls as the rise shrinks.
     """
     from scipy.special import ndtr  # noqa: PLC0415  (slow to load, seldom needed)
 
-    rise_rad = np.clip(rise_rad, _LEAST_RISE * sd_rad, RANGE_RAD)
+    rise_rad = np.clip(rise_rad, _MODEL.least_rise_sds * sd_rad, _MODEL.range_rad)
     within = ndtr(off_rad / sd_rad) - ndtr((off_rad - rise_rad) / sd_rad)
     raised = share * rise_rad / (rise_rad + 2.0 * sd_rad)
     return raised, raised * np.asarray(within / rise_rad)
@@ -260,7 +283,10 @@ def _raised(
 def _explained(
     residual: Float64Array, weight: Float64Array, factor: Float64Array
 ) -> tuple[Float64Array, Float64Array, Float64Array]:
-    """Return the part of residuals (M, R) due to height errors, the inner inverse and log det."""
+    """Return the part of residuals (M, R) due to height errors.
+
+    The inner inverse and half the log determinant are returned with it.
+    """
     across = factor.swapaxes(1, 2)
     core = across @ (weight[..., np.newaxis] * factor) + np.eye(factor.shape[2])
     root = np.linalg.cholesky(core)

@@ -1,8 +1,8 @@
-"""`Matcher`: matches photos to a store, and to the terrain that the store was rendered from."""
+"""`Matcher`: matches photos to a store, and to the store's terrain."""
 
 import logging
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -11,20 +11,19 @@ from typing import TypeVar
 import numpy as np
 from PIL.Image import Image
 
-from skyline.errors import InputError, SkylineError, StoreError, numbers_of
+from skyline.errors import InputError, SkylineError, StoreError
 from skyline.files import is_file, on_disk
 from skyline.geodesy.frame import Frame
 from skyline.match.config import MatchConfig
 from skyline.match.method import MATCHERS, SearchMethod
 from skyline.match.prior import NOTHING_KNOWN, Narrowing, PlacePrior, Prior
-from skyline.match.projections import OtherProjection
 from skyline.match.rays import Rays
 from skyline.match.refine import VIEW_WIDTH
 from skyline.match.result import TOP, JointResult, MatchResult
 from skyline.match.screen import ReportProgress, silent
 from skyline.match.verdict import Verdict, candidate_reached, too_little
 from skyline.photo.image import Picture
-from skyline.photo.read import read_skyline
+from skyline.photo.read import named_skyline
 from skyline.photo.skyline import PhotoSkyline
 from skyline.plugins import load
 from skyline.pose import Pose
@@ -96,10 +95,12 @@ class Matcher(Releasable):
         refine = self._config.refine
         if surface is not None and not (method.renders and refine):
             raise InputError("a surface acts in refinement; use the full matcher, and refine")
-        self.render_thread, self._scene = render_thread, None
+        self.render_thread = render_thread
+        self._scene = None
         with open_joined(paths_of(store)) as file:
             self.header = header = file.header
-            self.rows, self.holds = len(file), header.holds
+            self.rows = len(file)
+            self.holds = header.holds
             if not self.rows:
                 raise InputError(f"store {file.path} holds no {self.holds}; build it first")
             file.expect(method.holds)
@@ -135,7 +136,7 @@ class Matcher(Releasable):
         narrowing: Narrowing | None = None,
         report_progress: ReportProgress = silent,
     ) -> MatchResult:
-        """Find where a photo, a sky mask, a trace or a skyline was taken.
+        """Find where a photo was taken, or its mask, trace or skyline.
 
         Parameters
         ----------
@@ -226,13 +227,16 @@ class Matcher(Releasable):
         started = time.perf_counter()
         _check_top(top)
         read = self._read(photos, fov_deg, narrowings)
-        usable = [number for number, photo in enumerate(read) if photo.known is not None]
-        found = self._found_together(read, usable, top, report_progress)
+        usable = {
+            number: photo.known for number, photo in enumerate(read) if photo.known is not None
+        }
+        found = self._found_together(usable, top, report_progress)
         verdict = Verdict.of_joint_search(
             list(found.values()),
             (
-                (read[number].name, self._other_projection(read[number], candidates[0]))
-                for number, candidates in found.items()
+                (read[number].name, self._method.other_projection(rays, candidates[0], prior))
+                for number, (rays, prior) in usable.items()
+                if (candidates := found.get(number))
             ),
             self._config,
         )
@@ -279,16 +283,15 @@ class Matcher(Releasable):
         return read
 
     def _found_together(
-        self, photos: "list[_Photo]", usable: list[int], top: int, report: ReportProgress
+        self, usable: Mapping[int, tuple[Rays, Prior]], top: int, report: ReportProgress
     ) -> dict[int, tuple[Pose, ...]]:
-        """Return the candidates of the photos that agree on a place, by the photo's number.
+        """Return the candidates of the photos that agree, by number.
 
-        ``usable`` are the numbers of the photos that show enough skyline.
+        ``usable`` has the photos that show enough skyline, by number.
         """
-        known = [one.known for one in photos if one.known is not None]
-        if len(known) < 2:
+        if len(usable) < 2:
             return {}
-        together, agrees = self._method.search_together(known, top, report)
+        together, agrees = self._method.search_together(list(usable.values()), top, report)
         return {
             number: poses.on_map(self.frame)
             for number, poses, belongs in zip(usable, together, agrees, strict=True)
@@ -301,7 +304,7 @@ class Matcher(Releasable):
         start: Pose,
         narrowing: Narrowing | None = None,
     ) -> MatchResult:
-        """Refine a pose by rendering, as a search refines the poses that it finds.
+        """Refine a pose by rendering, as a search does.
 
         The result of a search is taken into account. A fit that leads to one of its candidates is
         that candidate, with the search's verdict. A fit that leads to the same answer but fits
@@ -325,7 +328,7 @@ class Matcher(Releasable):
         Raises
         ------
         InputError
-            The matcher does not render, the pose is off the map, or the result is not that of a
+            The matcher does not render, the pose is off the map, or the result is not from a
             search of one photo.
         """
         started = time.perf_counter()
@@ -352,7 +355,7 @@ class Matcher(Releasable):
     def _fitted(
         self, skyline: PhotoSkyline, start: Pose, narrowing: Narrowing | None
     ) -> Pose | None:
-        """Return the pose to which a fit leads from a start; None where nothing near it fits."""
+        """Return the pose to which a start leads, or None."""
         about_start = skyline.with_fov(start.fov_deg)
         if skyline.projection.is_panorama and skyline.fov_deg is None:
             skyline = about_start  # No search finds a panorama's field of view.
@@ -361,14 +364,13 @@ class Matcher(Releasable):
         poses = self._method.fitted(rays, start, prior, rays_about_start)
         return next(iter(poses.on_map(self.frame)), None)
 
-    def _other_projection(self, photo: "_Photo", best: Pose) -> OtherProjection | None:
-        """Return a photo's likeliest other projection; None where none is known."""
-        return photo.known and self._method.other_projection(photo.known[0], best, photo.known[1])
-
     def _rays_and_prior(
         self, skyline: PhotoSkyline, narrowing: Narrowing | None
     ) -> tuple[Rays, Prior]:
-        """Return a photo's rays and prior; raises `InputError` if the matcher takes no prior."""
+        """Return a photo's rays and prior.
+
+        Raises `InputError` for a narrowing if the matcher takes no prior.
+        """
         narrowing = _instance("narrowing", narrowing or Narrowing(), Narrowing)
         rays = Rays.of(skyline, self._config.fov_sd_share, finds_fov=self._method.finds_fov)
         if not self._method.takes_prior:
@@ -397,9 +399,10 @@ class _Photo:
 
 
 def _without_search(pose: Pose, refusal: str | None) -> Pose:
-    """Return a fitted pose without a rank and confidences, since no other place was tried.
+    """Return a fitted pose without a rank and confidences.
 
-    A pose that is refused has no covariance either: errors of a wrong fit have no meaning.
+    No other place was tried. A pose that is refused has no covariance either: errors of a wrong fit
+    have no meaning.
     """
     covariance_m2 = None if refusal else pose.covariance_m2
     return replace(
@@ -408,7 +411,10 @@ def _without_search(pose: Pose, refusal: str | None) -> Pose:
 
 
 def _check_frame(store: Store, frame: Frame) -> None:
-    """Raise `StoreError` for a store on whose map angles are wrong, as earlier releases built."""
+    """Raise `StoreError` if angles are wrong on a store's map.
+
+    Earlier releases built such stores.
+    """
     eyes = store.eyes()
     east_m, north_m = eyes.easting_m, eyes.northing_m
     box_m = float(east_m.min()), float(north_m.min()), float(east_m.max()), float(north_m.max())
@@ -421,7 +427,7 @@ def _check_frame(store: Store, frame: Frame) -> None:
 
 
 def terrain_at_hand(header: StoreHeader, otherwise: str) -> HeightField | None:
-    """Return the terrain a store was rendered from, read from its DEM files.
+    """Return a store's terrain, read from its DEM files.
 
     If they cannot be read, a warning names the consequence ``otherwise``, and None is returned.
     Only plain files are read: a store from a stranger must not make the reader open anything else.
@@ -441,34 +447,16 @@ def terrain_at_hand(header: StoreHeader, otherwise: str) -> HeightField | None:
 
 
 def paths_of(store: str | Path | Sequence[str | Path]) -> Sequence[str | Path]:
-    """Return the paths of one store or several; raises `InputError` for anything else."""
+    """Return the paths of one store or several.
+
+    Raises `InputError` for anything else.
+    """
     if isinstance(store, str | Path):
         return [store]
     paths = list(store) if isinstance(store, Iterable) else [store]
     if not paths or not all(isinstance(one, str | Path) for one in paths):
         raise InputError(f"store is {store!r}; expected the path of a store, or several paths")
     return paths
-
-
-def named_skyline(
-    photo: Picture | PhotoSkyline, fov_deg: float | None = None
-) -> tuple[str, PhotoSkyline]:
-    """Return the file of a photo, empty for pixels and for a skyline, and its skyline.
-
-    The skyline has the given field of view, or else its own. Raises as `read_skyline`, and
-    `InputError` for anything but one photo.
-    """
-    if fov_deg is not None:
-        error = f"the field of view is {fov_deg!r}; expected a number of degrees"
-        (fov_deg,) = numbers_of([fov_deg], 1, error)
-    if isinstance(photo, PhotoSkyline):
-        return "", photo if fov_deg is None else photo.with_fov(fov_deg)
-    if not isinstance(photo, str | Path | Image | np.ndarray):
-        raise InputError(
-            f"the photo is of type {type(photo).__name__}; expected one path, PIL image, array of "
-            "uint8 or PhotoSkyline"
-        )
-    return str(photo) if isinstance(photo, str | Path) else "", read_skyline(photo, fov_deg)
 
 
 def _check_top(top: int) -> None:

@@ -43,15 +43,23 @@ class SearchMethod(ABC):
     def open(
         cls, store: Store, terrain: HeightField | None = None, scene: RenderedScene | None = None
     ) -> Self:
-        """Return the method for an open store that is not empty; the store is closed afterwards."""
+        """Return the method for an open store.
+
+        The store is not empty, and is closed afterwards.
+        """
 
     @abstractmethod
     def eyes(self) -> Viewpoints:
-        """Return the eyes of the store, or an even selection of very many."""
+        """Return the eyes of the store.
+
+        Of very many, an even selection is returned.
+        """
 
     @abstractmethod
     def search(self, rays: Rays, prior: Prior, top: int, report: ReportProgress = silent) -> Poses:
-        """Return up to ``top`` poses of a photo, best first; none where nothing fits.
+        """Return up to ``top`` poses of a photo, best first.
+
+        There are none where nothing fits.
 
         Parameters
         ----------
@@ -76,20 +84,25 @@ class SearchMethod(ABC):
         top: int,
         report: ReportProgress = silent,
     ) -> tuple[list[Poses], BoolArray]:
-        """Return the best common places of N photos of one eye, and which photos agree on them.
+        """Return the best common places of photos of one eye.
 
-        Each photo's poses, up to ``top``, are at the same places in the same order. A photo that
-        does not agree, (N,) bool, was likely taken at another place.
+        The second value says which of the N photos agree on them. Each photo's poses, up to
+        ``top``, are at the same places in the same order. A photo that does not agree, (N,) bool,
+        was likely taken at another place.
         """
         raise InputError(BY_RENDERING)
 
     def fitted(self, rays: Rays, start: Pose, prior: Prior, about_start: Rays) -> Poses:
-        """Return a pose refined from a start, or none where nothing near it fits.
+        """Return a pose refined from a start.
 
-        ``about_start`` are the photo's rays about the start's field of view.
+        There is none where nothing near the start fits. ``about_start`` are the photo's rays about
+        the start's field of view.
         """
         raise InputError(BY_RENDERING)
 
     def other_projection(self, rays: Rays, best: Pose, prior: Prior) -> OtherProjection | None:
-        """Return the likeliest other projection of a photo; None where none can be told."""
+        """Return the likeliest other projection of a photo.
+
+        None where none is known.
+        """
         return None

@@ -1,9 +1,9 @@
-r"""Prior knowledge of a pose: the user's narrowing, the photo's EXIF, and the height of eyes.
+r"""Prior knowledge of a pose, from the user and from EXIF.
 
 A compass is little more than a hint. A position from EXIF has a long-tailed error: it is usually
-near the truth, with an error like a two-dimensional Cauchy distribution, and now and then it is
-that of another photo or an old fix of the phone. The density of the true place at distance d from
-a noted position is therefore
+near the truth, with an error like a two-dimensional Cauchy distribution, and now and then it is the
+position of another photo or an old fix of the phone. The density of the true place at distance d
+from a noted position is therefore
 
 .. math::
 
@@ -29,16 +29,16 @@ from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, LEAST_EYE_HEIGHT_M
 
 GPS_SD_M = 30.0
 """Scale of the error of a position without a noted accuracy."""
-LEAST_GPS_SD_M = 15.0
-"""Least scale of the error of a position with one, since the terrain model is off too."""
 
 
 @dataclass(frozen=True, slots=True)
 class _ExifErrors:
-    """What is assumed about the errors of positions, altitudes and compasses in EXIF."""
+    """What is assumed about errors of EXIF's positions, altitudes and compasses."""
 
     wrong_share: float = 0.05
     """w, the share of wrong positions. Of 20 photos examined, one had a position 6 km off."""
+    least_position_sd_m: float = 15.0
+    """Least scale of a position's error, since the terrain model is off too."""
     anywhere_m2: float = 1e9
     """A, a circle of 18 km: the area of a search without a noted position."""
     reach_m: float = 1000.0
@@ -124,7 +124,10 @@ class PlacePrior:
 
     @classmethod
     def of_noted(cls, noted: NotedPlace, frame: Frame) -> "PlacePrior | None":
-        """Return the prior from a photo's EXIF in a frame; None if EXIF notes no position."""
+        """Return the prior from a photo's EXIF in a frame.
+
+        None if EXIF notes no position.
+        """
         if noted.lonlat_deg is None:
             return None
         east, north = (float(value) for value in frame.from_lonlat(*noted.lonlat_deg))
@@ -133,7 +136,7 @@ class PlacePrior:
         grid_heading_deg = noted.heading_deg
         if grid_heading_deg is not None:
             grid_heading_deg -= float(frame.convergence_deg(easting_m=east, northing_m=north))
-        sd_m = max(LEAST_GPS_SD_M, noted.accuracy_m or GPS_SD_M)
+        sd_m = position_sd_m(noted)
         compass_sd_deg = (
             _EXIF.compass_sd_deg if noted.is_magnetic is False else _EXIF.magnetic_sd_deg
         )
@@ -148,7 +151,7 @@ class PlacePrior:
     def cost(
         self, place_m: Complex128Array, eye_m: Float64Array, heading_rad: Float64Array
     ) -> Float64Array:
-        """Return the negative log density (M,) of poses, relative to a uniform density.
+        """Return the negative log density (M,) of poses over a uniform one.
 
         ``place_m`` holds eastings, and northings as the imaginary part; headings are grid
         azimuths of the optical axis.
@@ -168,7 +171,7 @@ class PlacePrior:
     def pull(
         self, place_m: Complex128Array, eye_m: Float64Array
     ) -> tuple[Float64Array, Float64Array]:
-        """Return the normal distribution that pulls eyes as strongly as this density does.
+        """Return the normal distribution that pulls eyes like this density.
 
         Its precisions (M, 3) along easting, northing and elevation, and the offsets (M, 3) of the
         eyes from the noted place, metres; precision times offset is the gradient of `cost`.
@@ -218,7 +221,7 @@ class EyeHeightPrior:
         return np.asarray(np.log1p(self._deviations(height_m) ** 2))
 
     def precision(self, height_m: Float64Array) -> Float64Array:
-        """Return the precision (M,) of the normal distribution that pulls heights as strongly."""
+        """Return the precision (M,) of the normal distribution that pulls heights equally."""
         sd_m = max(self.sd_m, _LEAST_SD_M)
         return np.asarray(2.0 / (sd_m**2 * (1.0 + self._deviations(height_m) ** 2)))
 
@@ -241,7 +244,10 @@ class KnownGround:
 
 @dataclass(frozen=True, slots=True)
 class Standing:
-    """One of the ways in which an eye may stand at a known place: on the ground, or aloft."""
+    """One way in which an eye may stand at a known place.
+
+    It stands on the ground, or it is aloft.
+    """
 
     eye: EyeHeightPrior
     elevation_m: float | None = None
@@ -253,9 +259,10 @@ class Standing:
 
     @classmethod
     def of_noted(cls, noted: NotedPlace, ground: KnownGround) -> "list[Standing]":
-        """Return the ways that the heights noted in a photo leave open, the ground first.
+        """Return the ways that a photo's noted heights leave open.
 
-        A noted height may be wrong by far, so many photos are likely taken on the ground below it.
+        The ground comes first. A noted height may be wrong by far, so many photos are likely taken
+        on the ground below it.
         """
         on_ground = cls(EyeHeightPrior(DEFAULT_EYE_HEIGHT_M, ground.height_sd_m))
         heights = _noted_heights(noted, ground)
@@ -286,7 +293,7 @@ class Standing:
 
 @dataclass(frozen=True, slots=True)
 class _NotedHeight:
-    """A height above the ground of a known place that a photo notes.
+    """A height above the known ground that a photo notes.
 
     Its error is distributed as in `PlacePrior`.
     """
@@ -310,9 +317,15 @@ def _noted_heights(noted: NotedPlace, ground: KnownGround) -> list[_NotedHeight]
         sd_m = math.hypot(ground.takeoff_relief_m, _EXIF.takeoff_sd_m, drift_m)
         found.append(_NotedHeight(noted.takeoff_height_m, sd_m, sd_m))
     if noted.elevation_m is not None:
-        above_m, sd_m = noted.elevation_m - ground.elevation_m, _altitude_sd_m(noted)
+        above_m = noted.elevation_m - ground.elevation_m
+        sd_m = _altitude_sd_m(noted)
         found.append(_NotedHeight(above_m, math.hypot(sd_m, ground.relief_m), sd_m))
     return found
+
+
+def position_sd_m(noted: NotedPlace) -> float:
+    """Return the scale of the error of a photo's position."""
+    return max(_EXIF.least_position_sd_m, noted.accuracy_m or GPS_SD_M)
 
 
 def _altitude_sd_m(noted: NotedPlace) -> float:
@@ -327,7 +340,7 @@ def _altitude_sd_m(noted: NotedPlace) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Narrowing:
-    """Knowledge about a photo's pose that narrows the search; unknown values are None.
+    """Knowledge of a photo's pose that narrows its search; None where unknown.
 
     Attributes
     ----------
@@ -433,7 +446,7 @@ class Prior:
         return turns_within(heading, slack + _CONVERGENCE_DEG)
 
     def contains(self, positions: Places | Poses) -> BoolArray:
-        """Return which positions (N,) lie within the circles, the bounds and the elevations."""
+        """Return which positions (N,) lie within the circles, bounds and elevations."""
         inside = np.ones(len(positions), dtype=bool)
         easting_m, northing_m = positions.easting_m, positions.northing_m
         if self.narrowing.elevation_m is not None:
@@ -460,7 +473,7 @@ class Prior:
         return allowed
 
     def near_noted(self) -> "Prior | None":
-        """Return this prior narrowed to the surroundings of the noted place; None without one."""
+        """Return this prior narrowed to the noted place's surroundings, or None."""
         if self.noted is None:
             return None
         radius_m = _EXIF.reach_m + _EXIF.reach_sds * self.noted.sd_m
@@ -468,11 +481,13 @@ class Prior:
         return replace(self, circles_m=(*self.circles_m, circle))
 
     def swap_hint(self, places: Places) -> str:
-        """Return a hint that longitudes and latitudes are swapped; empty where they are not.
+        """Return a hint that longitudes and latitudes are swapped.
 
-        The hint is given where the swapped narrowing would meet the rectangle around the places.
+        It is empty where they are not. The hint is given where the swapped narrowing would meet the
+        rectangle around the places.
         """
-        near, bounds = self.narrowing.near, self.narrowing.bounds_deg
+        near = self.narrowing.near
+        bounds = self.narrowing.bounds_deg
         for given in (near and near[:2], bounds):
             if given is None or self.frame is None:
                 continue

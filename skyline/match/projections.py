@@ -1,4 +1,4 @@
-r"""Whether a photo's skyline is bent as by another projection than the one assumed.
+r"""Whether a skyline is bent as by another projection than assumed.
 
 A photo that does not say otherwise is taken for a perspective one. An unmarked panorama or a
 fisheye then fits the right place all the same, with a field of view and a distortion that no lens
@@ -31,30 +31,44 @@ from skyline.match.solver import LOG_SCALE, ROUGH, TEMPERATURE, WARP, Fit
 from skyline.pose import Poses
 
 FISHEYE = "fisheye"
-LEAST_CONFIDENCE = 0.5
-"""Least confidence of a pose that shows which projection a photo has; others may well be wrong."""
-_MOST_PROBABILITY = 0.2
-"""Greatest probability of another projection with which a pose is trusted."""
-_PRIOR_LOG_ODDS = math.log(0.05 / 0.95)
-"""Log odds that a photo that notes no projection is a panorama or a fisheye: a guess. If there were
-ten times fewer, these would fall by 2.4."""
-_LENS_DISTORTION = 0.035
-"""Scale of the exponential distribution of barrel distortion among lenses that draw straight lines
-straight. Of those in lensfun's database that are wider than 75 degrees, 171 settings, the
-distortions have an rms of 0.048, and 1 % exceed 0.17."""
-_FISHEYE_SD = 0.06
-"""Standard deviation of the term of `skyline.camera.fisheye_off_axis_rad`."""
-_SCALES = np.array([0.87, 1.0])
-"""Factors on the perspective fit's scale from which the other projections are fitted."""
-_DENSITY = 0.8
-"""Columns for each of the solver's steps of azimuth, where a perspective photo has the most. The
-solver averages no two of them in any projection, so the costs are of the same columns."""
-_WIDEST = 1.5
-"""Largest radius x at the side of a fisheye that is tried: 156 degrees."""
-_FOV_RANGE = np.array([0.75, 1.25])
-"""The fields of view that are tried, as shares of the one of the perspective fit's scale."""
-_MOST_FISHEYE_DEG = 170.0
-_MOST_LOG_ODDS = 50.0
+
+
+@dataclass(frozen=True, slots=True)
+class BentImages:
+    """What is assumed about panoramas and fisheyes, and how they are fitted."""
+
+    least_confidence: float = 0.5
+    """Least confidence of a pose that shows which projection a photo has; a pose of less may well
+    be wrong."""
+    trusted_below: float = 0.2
+    """Greatest probability of another projection with which a pose is trusted."""
+    unmarked_share: float = 0.05
+    """Share of panoramas and fisheyes among the photos that note no projection: a guess. If there
+    were ten times fewer, their log odds would fall by 2.4."""
+    lens_distortion: float = 0.035
+    """Scale of the exponential distribution of barrel distortion among lenses that draw straight
+    lines straight. Of those in lensfun's database that are wider than 75 degrees, 171 settings, the
+    distortions have an rms of 0.048, and 1 % exceed 0.17."""
+    fisheye_sd: float = 0.06
+    """Standard deviation of the term of `skyline.camera.fisheye_off_axis_rad`."""
+    start_scales: tuple[float, ...] = (0.87, 1.0)
+    """Factors on the perspective fit's scale from which the other projections are fitted."""
+    columns_per_bin: float = 0.8
+    """Columns for each of the solver's steps of azimuth, where a perspective photo has the most.
+    The solver averages no two of them in any projection, so the costs are of the same columns."""
+    widest_radius: float = 1.5
+    """Largest radius at the side of a fisheye that is tried: 156 degrees."""
+    least_fov_share: float = 0.75
+    """Smallest field of view that is tried, as a share of the one at the perspective fit's scale.
+    """
+    greatest_fov_share: float = 1.25
+    """Largest field of view that is tried, as such a share."""
+    most_fisheye_deg: float = 170.0
+    """Largest field of view of a fisheye that is tried: its rays look ahead, with 5 degrees to
+    spare on either side."""
+
+
+_BENT = BentImages()
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,8 +91,8 @@ class OtherProjection:
 
     @property
     def is_likely(self) -> bool:
-        """Whether it is too likely for the pose of a perspective photo to be trusted."""
-        return self.probability > _MOST_PROBABILITY
+        """Whether the pose of a perspective photo cannot be trusted."""
+        return self.probability > _BENT.trusted_below
 
     @property
     def in_words(self) -> str:
@@ -95,47 +109,53 @@ class OtherProjection:
 
 
 def other_projection(
-    rays: Rays, pose: Poses, refinement_of: Callable[[Rays], Refinement]
+    rays: Rays, pose: Poses, sure: float, refinement_of: Callable[[Rays], Refinement]
 ) -> OtherProjection | None:
-    """Return the likeliest other projection of a photo; None for a panorama.
+    """Return the likeliest other projection of a photo.
+
+    None for a panorama, and for a pose that is more likely wrong.
 
     Parameters
     ----------
     rays : Rays
     pose : Poses
         The photo's best pose: one.
+    sure : float
+        The confidence of the pose.
     refinement_of : callable
         Returns the refinement of a photo's rays, with the priors with which the pose was found.
     """
-    if rays.is_panorama:
+    if rays.is_panorama or sure < _BENT.least_confidence:
         return None
     columns = _columns(rays, float(pose.fov_deg[0]))
     own = _best_fit(refinement_of(columns), _from(pose, columns, np.ones(1)))
-    own_log_p = -max(float(own.state[0, WARP:].sum()), 0.0) / _LENS_DISTORTION
+    own_log_p = -max(float(own.state[0, WARP:].sum()), 0.0) / _BENT.lens_distortion
+    share = _BENT.unmarked_share
+    prior_log_odds = math.log(share / (1.0 - share))
     others = []
     for name, bent in (("cylindrical", _panorama(columns)), (FISHEYE, _fisheye(columns))):
-        fit = _best_fit(refinement_of(bent), _from(replace(pose, distortion=None), bent, _SCALES))
+        start = _from(replace(pose, distortion=None), bent, np.array(_BENT.start_scales))
+        fit = _best_fit(refinement_of(bent), start)
         log_p = -0.5 * float(np.square(fit.state[0, WARP:] / bent.warp_sd).sum())
         log_odds = float(own.cost[0] - fit.cost[0]) / TEMPERATURE + log_p - own_log_p
+        log_odds = min(max(log_odds + prior_log_odds, -50.0), 50.0)
         fov_deg = float(bent.fov_at(fit.state[0, LOG_SCALE]))
-        others.append(OtherProjection(name, fov_deg, _probability(log_odds + _PRIOR_LOG_ODDS)))
+        others.append(OtherProjection(name, fov_deg, 1.0 / (1.0 + math.exp(-log_odds))))
     return max(others, key=lambda other: other.probability)
 
 
-def _probability(log_odds: float) -> float:
-    bounded = min(max(log_odds, -_MOST_LOG_ODDS), _MOST_LOG_ODDS)
-    return 1.0 / (1.0 + math.exp(-bounded))
-
-
 def _columns(rays: Rays, fov_deg: float) -> Rays:
-    """Return a photo's rays with a field of view, averaged over columns of equal width."""
+    """Return rays for a field of view, averaged over equal columns."""
     step_rad = 2.0 * np.pi / ROUGH.bins
-    count = int(_DENSITY * math.sin(math.radians(fov_deg)) / step_rad)
+    count = int(_BENT.columns_per_bin * math.sin(math.radians(fov_deg)) / step_rad)
     return replace(in_runs(rays.with_fov(fov_deg), max(count, 1)), fov_sd_deg=math.inf)
 
 
 def _panorama(columns: Rays) -> Rays:
-    """Return a perspective photo's rays as those of a cylindrical panorama of the same scale."""
+    """Return a perspective photo's rays in a cylindrical panorama.
+
+    The panorama has the same scale in its middle.
+    """
     fov_deg = min(math.degrees(2.0 * columns.half_width), MAX_PANORAMA_DEG)
     return replace(
         columns,
@@ -147,8 +167,11 @@ def _panorama(columns: Rays) -> Rays:
 
 
 def _fisheye(columns: Rays) -> Rays:
-    """Return a perspective photo's rays as a fisheye of the same scale has them."""
-    shrink = min(1.0, _WIDEST / columns.half_width)
+    """Return a perspective photo's rays in a fisheye's image.
+
+    The image has the same scale in its middle.
+    """
+    shrink = min(1.0, _BENT.widest_radius / columns.half_width)
     u, v = fisheye_rays(columns.u, columns.v, shrink)
     side = shrink * columns.half_width
     side_rad = float(fisheye_off_axis_rad(side))
@@ -158,25 +181,30 @@ def _fisheye(columns: Rays) -> Rays:
         u=u,
         v=v,
         fov_deg=fov_deg,
-        fov_range_deg=_range_deg(fov_deg, _MOST_FISHEYE_DEG),
+        fov_range_deg=_range_deg(fov_deg, _BENT.most_fisheye_deg),
         # A change of the angle as a share of its tangent.
-        distortion_sd=_FISHEYE_SD * side**3 / (math.sin(side_rad) * math.cos(side_rad)),
+        distortion_sd=_BENT.fisheye_sd * side**3 / (math.sin(side_rad) * math.cos(side_rad)),
     )
 
 
 def _range_deg(fov_deg: float, most_deg: float) -> tuple[float, float]:
-    low_deg, high_deg = np.minimum(_FOV_RANGE * fov_deg, most_deg).tolist()
-    return low_deg, high_deg
+    """Return the range of fields of view that are tried about one."""
+    low_deg = _BENT.least_fov_share * fov_deg
+    high_deg = _BENT.greatest_fov_share * fov_deg
+    return min(low_deg, most_deg), min(high_deg, most_deg)
 
 
 def _from(pose: Poses, rays: Rays, scales: Float64Array) -> Poses:
-    """Return a pose at several scales of rays, from which they are fitted."""
+    """Return a pose at several scales, as starts of fits."""
     several = pose[np.zeros(len(scales), dtype=np.intp)]
     return replace(several, fov_deg=rays.fov_at(np.log(scales)))
 
 
 def _best_fit(refinement: Refinement, start: Poses) -> Fit:
-    """Return the best fit that a move with rough errors and one with fine errors reach."""
+    """Return the best fit of two moves from a start.
+
+    The first move assumes rough errors, the second fine ones.
+    """
     particles = refinement.started(refinement.rough, start)
     particles = refinement.moved(refinement.rough, particles)
     particles = refinement.moved(refinement.fine, refinement.reweighted(particles))

@@ -1,4 +1,4 @@
-"""The trusted columns of a photo's skyline as rays of its camera, and means of them."""
+"""The trusted columns of a photo's skyline as rays, and their means."""
 
 import math
 from dataclasses import dataclass, replace
@@ -22,26 +22,33 @@ FOV_RANGE_DEG = (25.0, 100.0)
 USUAL_FOV_DEG = (55.0, 14.0)
 """Mean and standard deviation of those fields of view: most photos are taken with a phone or a
 usual zoom lens."""
-_DISTORTION_SD = 0.01
-"""Standard deviation of a lens's distortion. The distortions of 3,500 lenses in lensfun's database
-are 2 to 6 % of half the width, rms; phones and many cameras correct their photos. With a larger
-deviation, near slopes bend to fit."""
-_WIDE_DISTORTION_SD = 0.05
-"""The same for a wide lens."""
-_WIDE_DEG = 75.0
-"""Lenses of a greater field of view are wide."""
-_WANDER_SD_DEG = 1.0 / (np.array(WANDER_DEGREES) - 1.0)
-"""Standard deviations of a panorama's row shifts, one for each polynomial degree: as in a random
-walk, they fall with the inverse of the degree."""
-_WANDER_FOV_DEG = 240.0
-"""Field of view of these deviations, which grow with its square root."""
-_FOV_DEVIATIONS = 4.0
-"""Standard deviations to either side of a given field of view that are searched."""
+
+
+@dataclass(frozen=True, slots=True)
+class CameraModel:
+    """What is expected of the lenses and the panoramas of photos."""
+
+    distortion_sd: float = 0.01
+    """Standard deviation of a lens's distortion. The distortions of 3,500 lenses in lensfun's
+    database are 2 to 6 % of half the width, rms; phones and many cameras correct their photos. With
+    a larger deviation, near slopes bend to fit."""
+    wide_distortion_sd: float = 0.05
+    """Standard deviation of a wide lens's distortion."""
+    wide_deg: float = 75.0
+    """Lenses of a greater field of view are wide."""
+    wander_fov_deg: float = 240.0
+    """Field of view of a panorama whose rows wander by 1 degree, divided by the polynomial's degree
+    minus 1. The deviations grow with the square root of the field of view."""
+    searched_sds: float = 4.0
+    """Standard deviations to either side of a given field of view that are searched."""
+
+
+_CAMERAS = CameraModel()
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Rays(ImagePoints):
-    """The trusted columns of a photo's skyline, and what is known of its camera.
+    """The trusted columns of a skyline, with what the camera may be.
 
     Raises `InputError` where all weights are 0.
     """
@@ -60,7 +67,7 @@ class Rays(ImagePoints):
 
     @classmethod
     def of(cls, photo: PhotoSkyline, fov_sd_share: float, *, finds_fov: bool) -> "Rays":
-        """Return a photo's rays, with the fields of view that it may have.
+        """Return a photo's rays, and its possible fields of view.
 
         ``fov_sd_share`` is the deviation of a field of view, as a share of it, where its lens has
         none of its own. Raises `InputError` for a photo of unknown field of view, unless the
@@ -71,7 +78,11 @@ class Rays(ImagePoints):
         if photo.fov_deg is not None:
             fov_deg = photo.fov_deg
             lens = photo.lens or Lens(photo.fov_deg)
-            distortion_sd = _WIDE_DISTORTION_SD if fov_deg > _WIDE_DEG else _DISTORTION_SD
+            distortion_sd = (
+                _CAMERAS.wide_distortion_sd
+                if fov_deg > _CAMERAS.wide_deg
+                else _CAMERAS.distortion_sd
+            )
             u, v = photo.image_plane()
             rays = cls(
                 u=u,
@@ -94,7 +105,7 @@ class Rays(ImagePoints):
                 fov_deg=fov_deg,
                 fov_range_deg=FOV_RANGE_DEG,
                 fov_sd_deg=fov_sd_deg,
-                distortion_sd=_DISTORTION_SD,
+                distortion_sd=_CAMERAS.distortion_sd,
             )
         raise InputError(
             "the photo's field of view is not known: it is not in the image; give --fov-deg"
@@ -134,12 +145,16 @@ class Rays(ImagePoints):
         `wander`.
         """
         if self.is_panorama:
-            grown = math.sqrt(self.fov_deg / _WANDER_FOV_DEG)
-            return np.radians(_WANDER_SD_DEG) * grown
+            grown = math.sqrt(self.fov_deg / _CAMERAS.wander_fov_deg)
+            # As in a random walk, the shifts of rows fall with the inverse of the degree.
+            return np.radians(1.0 / (np.array(WANDER_DEGREES) - 1.0)) * grown
         return np.array([self.distortion_sd] if self.distortion_sd > 0.0 else [])
 
     def with_fov(self, fov_deg: float) -> "Rays":
-        """Return the same photo's rays for another field of view, degrees, within the range."""
+        """Return the photo's rays for another field of view.
+
+        It is in degrees, and within the range.
+        """
         u, v = self.scaled(np.asarray(self.projection.half_width(fov_deg) / self.half_width))
         return replace(self, u=u, v=v, fov_deg=fov_deg)
 
@@ -153,17 +168,18 @@ class Rays(ImagePoints):
             return self
         fov_deg = self.fov_deg
         possible_deg = MAX_PANORAMA_DEG if self.is_panorama else 0.5 * (fov_deg + 180.0)
-        widest_deg = min(fov_deg + _FOV_DEVIATIONS * fov_sd_deg, possible_deg, most_deg)
-        narrowest_deg = max(fov_deg - _FOV_DEVIATIONS * fov_sd_deg, 0.5 * fov_deg)
+        widest_deg = min(fov_deg + _CAMERAS.searched_sds * fov_sd_deg, possible_deg, most_deg)
+        narrowest_deg = max(fov_deg - _CAMERAS.searched_sds * fov_sd_deg, 0.5 * fov_deg)
         return replace(self, fov_range_deg=(narrowest_deg, widest_deg), fov_sd_deg=fov_sd_deg)
 
 
 def thinned(rays: Rays, bins: int) -> Rays:
-    """Average the rays within each of ``bins`` steps of a level camera's azimuth.
+    """Average the rays within each step of azimuth.
 
-    The terrain's curve is no finer than its bins, so averages hold nearly all the information of
-    many columns at the cost of few. They are returned from left to right. The weight of an average
-    is the mean weight of its rays, so weights refer to the noise of averages.
+    There are ``bins`` steps all the way round a level camera. The terrain's curve is no finer than
+    its bins, so averages hold nearly all the information of many columns at the cost of few. They
+    are returned from left to right. The weight of an average is the mean weight of its rays, so
+    weights refer to the noise of averages.
     """
     azimuth = rays.u if rays.is_panorama else np.arctan(rays.u)
     step = np.floor(azimuth * (bins / (2.0 * np.pi))).astype(np.intp)
@@ -174,10 +190,10 @@ def thinned(rays: Rays, bins: int) -> Rays:
 
 
 def in_runs(rays: Rays, count: int) -> Rays:
-    """Average rays over ``count`` equal steps of u; steps with few trusted rays are left out.
+    """Average rays over ``count`` equal steps of u.
 
-    The mean weight is 1. A panorama is joined from photos, so it has ``count`` steps in each 60
-    degrees.
+    Steps with few trusted rays are left out. The mean weight is 1. A panorama is joined from
+    photos, so it has ``count`` steps in each 60 degrees.
     """
     if rays.is_panorama:
         count = max(1, round(count * rays.fov_deg / REFERENCE_FOV_DEG))
@@ -190,7 +206,7 @@ def in_runs(rays: Rays, count: int) -> Rays:
 
 
 def _averaged(rays: Rays, step: IntArray, kept: IntArray, weight: Float64Array) -> Rays:
-    """Return the weighted means of the rays in each kept step, with new weights."""
+    """Return the rays' weighted means in the kept steps, with new weights."""
     total = np.bincount(step, rays.weight)[kept]
     u, v = (np.bincount(step, rays.weight * ray)[kept] / total for ray in (rays.u, rays.v))
     return replace(rays, u=u, v=v, weight=weight)

@@ -1,4 +1,4 @@
-"""Refinement of poses by repeated rendering: they move to where the rendering fits the photo.
+"""Refinement of poses by rendering, until the renderings fit the photo.
 
 Each round renders all remaining poses in one call. A rendering holds the distance of every
 skyline point, from which follows how the skyline changes as the eye moves (`skyline.match.solver`).
@@ -54,8 +54,6 @@ VIEW_WIDTH = 360
 """Columns of the views that refinement renders."""
 GREATEST_LOG_ODDS = 50.0
 """Log odds beyond this count as this, so that their exponential exists."""
-_LEAST_NEARNESS = 1e-6
-"""Least mean inverse distance of a skyline, 1 / m."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +128,7 @@ WHOLE = Effort(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Particles(Rows):
-    """M moving poses: their skylines, how these fit the photo, and the next step."""
+    """M moving poses, their fits and their next steps."""
 
     curves: Curves
     fit: Fit
@@ -145,7 +143,7 @@ class Particles(Rows):
     def kept(self, new: "Particles", better: BoolArray) -> "Particles":
         """Return the new particles where they are better, and these particles elsewhere.
 
-        The next step of the former is longer, that of the latter shorter.
+        The next step is longer after new particles, and shorter after these.
         """
         step_m = self.step_m * np.where(better, MOVES.longer, MOVES.shorter)
         return replace(self.replaced(better, new), step_m=np.minimum(step_m, MOVES.longest_step_m))
@@ -155,8 +153,8 @@ class Refinement:
     """The refinement of one photo's poses.
 
     The height of the eye above the ground is solved for, about the usual one of ``eye``, by default
-    that of a person, unless the prior's narrowing gives it. It starts at ``first_eye_height_m``, by
-    default at the usual one.
+    the height of a person, unless the prior's narrowing gives it. It starts at
+    ``first_eye_height_m``, by default at the usual one.
     """
 
     def __init__(
@@ -235,7 +233,7 @@ class Refinement:
         return replace(particles, fit=fit, step_m=np.full(len(particles), MOVES.first_step_m))
 
     def moved(self, solver: Solver, particles: Particles) -> Particles:
-        """Return particles after one step, where the rendering from the new place fits better."""
+        """Return particles after one step, where the new rendering fits better."""
         solved = solver.improve(particles.curves, particles.fit, particles.step_m)
         new = self.stepped(solver, particles, solved.state, solved)
         return particles.kept(new, new.fit.cost < particles.fit.cost)
@@ -243,7 +241,10 @@ class Refinement:
     def stepped(
         self, solver: Solver, particles: Particles, step: Float64Array, fit: Fit
     ) -> Particles:
-        """Return particles moved by steps (M, 2 or more), east and north, of bounded length."""
+        """Return particles moved by steps of bounded length.
+
+        The steps (M, 2 or more) begin with metres east and north.
+        """
         length_m = np.maximum(np.hypot(step[:, 0], step[:, 1]), 1e-9)
         east_m, north_m = step[:, :2].T * np.minimum(1.0, 2.0 * particles.step_m / length_m)
         return self.arrived(solver, particles.curves.place_m + (east_m + 1j * north_m), fit)
@@ -272,7 +273,10 @@ class Refinement:
         return around
 
     def arrived(self, solver: Solver, place_m: Complex128Array, fit: Fit) -> Particles:
-        """Return particles at places, their attitudes solved there; without a fit off the map."""
+        """Return particles at places, their attitudes solved there.
+
+        Particles off the map have no fit.
+        """
         state = fit.state.copy()
         state[:, :EYE_HEIGHT] = 0.0
         fit = replace(fit, state=state)
@@ -283,7 +287,7 @@ class Refinement:
         return Particles(curves, fit, np.full(len(state), MOVES.first_step_m))
 
     def _seen(self, solver: Solver, place_m: Complex128Array, state: Float64Array) -> Curves:
-        """Render the directions of the photo from M eyes, at the heights of their states."""
+        """Render the photo's directions from M eyes at their states' heights."""
         self._report("refining", min(1.0, self._rendered / self._expected))
         self._rendered += 1
         easting_m, northing_m = place_m.real, place_m.imag
@@ -310,7 +314,7 @@ class Refinement:
         return Curves.of(y, distance_m, place_m, ground_m, slope, height_m, surface_y)
 
     def survivors(self, particles: Particles, count: int) -> Particles:
-        """Return the particles of the next round: the best, and the very best one's rivals."""
+        """Return the best particles, and the rivals of the very best."""
         ordered = particles.best(len(particles))
         chosen = np.arange(min(count, len(ordered)))
         place = ordered.curves.place_m
@@ -320,7 +324,10 @@ class Refinement:
         return ordered[chosen]
 
     def distinct(self, particles: Particles, count: int) -> Particles:
-        """Return the best distinct particles, and rivals of the very best, best first."""
+        """Return the best distinct particles, best first.
+
+        The very best one's rivals are among them.
+        """
         standing = self.poses(particles)
         return particles[best_and_rivals(standing, count, SAME_VIEW_DEG)]
 
@@ -329,7 +336,7 @@ class Refinement:
         return self.rough.poses(particles.curves, particles.fit)
 
     def with_figures(self, particles: Particles) -> Poses:
-        """Return particles after the last rounds as poses with the figures of their fits."""
+        """Return particles after the last rounds, with figures of their fits."""
         solver = self.fine
         linear, found = solver.evaluate(particles.curves, particles.fit)
         # Columns share errors that the likelihood takes for independent: variances are too small by
@@ -344,7 +351,7 @@ class Refinement:
             covariance_m2=spread_m2(poses, covariance[:, :EYE_HEIGHT, :EYE_HEIGHT]),
             residual_deg=np.degrees(np.sqrt(squares / shown)),
             terrain_share=shown / trust.sum(),
-            skyline_m=1.0 / np.maximum(nearness, _LEAST_NEARNESS),
+            skyline_m=1.0 / np.maximum(nearness, 1e-6),
             effective_columns=found.effective_columns,
             height_sd_m=solver.heights_m[particles.fit.height],
             beyond_share=np.asarray((solver.beyond_rad(linear) > 0.0) @ trust / trust.sum()),
@@ -355,7 +362,7 @@ class Refinement:
         return replace(poses, fits=fits)
 
     def _angle_sd_deg(self, particles: Particles, covariance: Float64Array) -> Float64Array:
-        """Return the standard errors (M, 4) of heading, pitch, roll and field of view."""
+        """Return standard errors (M, 4) of heading, pitch, roll, field of view."""
         sd = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
         scale = particles.fit.state[:, LOG_SCALE]
         off = sd[:, LOG_SCALE]
@@ -365,7 +372,7 @@ class Refinement:
 
 
 def spread_m2(poses: Poses, covariance_m2: Float64Array) -> Float64Array:
-    """Return each place's covariance (M, 2, 2) over all poses of the same answer.
+    """Return each place's covariance (M, 2, 2) over its answer's poses.
 
     ``covariance_m2`` (M, 2, 2) is the covariance of each pose by itself.
     """
@@ -380,7 +387,10 @@ def spread_m2(poses: Poses, covariance_m2: Float64Array) -> Float64Array:
 
 
 def best_and_rivals(standing: Poses, count: int, turn_deg: float = 360.0) -> IntArray:
-    """Return the indices of the best distinct poses and of the best one's rivals, best first."""
+    """Return the indices of the best distinct poses, best first.
+
+    The rivals of the very best pose are among them.
+    """
     chosen = standing.suppress_non_maxima(count, MOVES.separation_m, turn_deg)
     apart_m = standing.distances_m()[chosen[:1]]
     for least_m in DISTANCES_M:

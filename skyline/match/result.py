@@ -1,4 +1,4 @@
-"""The answer to a photo: its sentences, its JSON, its rows, and its tables."""
+"""The answer to a photo, as sentences, JSON, rows and tables."""
 
 import math
 from collections.abc import Iterable
@@ -24,20 +24,34 @@ _OF_CAMERA = (
 )  # fmt: skip
 """Keys of a candidate that differ between photos of one place."""
 
-_BEYOND_SHARE = 0.1
-"""Share of a skyline from which a line warns of terrain beyond the elevation model."""
-_FAR_M, _FAR_ACCURACIES, _FAR_DEG = 500.0, 5.0, 45.0
-"""The photo's noted position disagrees with the answer if it is off by more than 500 m and by more
-than 5 times its accuracy; its compass disagrees if it is off by more than 45 degrees. Phones are
-seldom that wrong."""
 _NORTH = {True: ", from magnetic north", False: "", None: ", from a north that it does not name"}
 _WGS84 = Geod(ellps="WGS84")
 _COVARIANCE = ("easting_variance_m2", "northing_variance_m2", "easting_northing_covariance_m2")
 
 
 @dataclass(frozen=True, slots=True)
+class Disagreement:
+    """Errors above which a photo's notes disagree with an answer.
+
+    Phones are seldom that wrong.
+    """
+
+    position_m: float = 500.0
+    """Distance of the answer from the noted position."""
+    accuracies: float = 5.0
+    """The same distance, as a multiple of the noted accuracy; it must exceed both."""
+    compass_deg: float = 45.0
+    """Turn of the answer from the noted heading."""
+
+
+_DISAGREEMENT = Disagreement()
+
+
+@dataclass(frozen=True, slots=True)
 class MatchResult:
-    """The candidates found for one photo, and whether the best of them is the answer.
+    """The candidates found for one photo, and its answer.
+
+    The best candidate is the answer if it is sure enough.
 
     Attributes
     ----------
@@ -71,7 +85,7 @@ class MatchResult:
 
     @property
     def best(self) -> Pose | None:
-        """The best candidate, whether it is the answer or not; None without candidates."""
+        """The best candidate, answer or not; None without candidates."""
         return self.candidates[0] if self.candidates else None
 
     @property
@@ -81,13 +95,13 @@ class MatchResult:
 
     @property
     def confidence(self) -> float | None:
-        """The estimated probability that the answer is right within `within_m`, if there is one."""
+        """The estimated probability that the answer is right within `within_m`."""
         return None if self.answer is None else _confidence_within(self.answer, self.within_m)
 
     def chosen(self, rank: int) -> "MatchResult":
-        """Return the result with the candidate of a rank first, as chosen by a person.
+        """Return the result with a chosen candidate first.
 
-        It is the answer only if it was the answer of the search.
+        A person chose it by its rank. It is the answer only if it was the answer of the search.
         """
         if rank == 1:
             return self
@@ -98,8 +112,9 @@ class MatchResult:
 
     @property
     def summary(self) -> str:
-        """One sentence: where the photo was taken, or why there is no answer."""
-        refusal, best = self.refusal or "no place fits", self.best
+        """Where the photo was taken, or why unknown, in one sentence."""
+        refusal = self.refusal or "no place fits"
+        best = self.best
         if best is None:
             return f"Not answered: {refusal}."
         place = (
@@ -124,9 +139,12 @@ class MatchResult:
 
     @property
     def beyond(self) -> str | None:
-        """A warning that much of the skyline may be of terrain beyond the elevation model."""
+        """A warning that the skyline may lie beyond the elevation model.
+
+        It is given from a tenth of the skyline on.
+        """
         share = None if self.best is None else self.best.beyond_share
-        if share is None or share < _BEYOND_SHARE:
+        if share is None or share < 0.1:
             return None
         return (
             f"{100.0 * share:.0f} % of the skyline may be terrain beyond the edge of the elevation "
@@ -135,14 +153,15 @@ class MatchResult:
 
     @property
     def exif(self) -> dict[str, Any] | None:
-        """Place and direction that the photo's EXIF notes, and how far the best candidate is off.
+        """What EXIF notes of the pose, and the best candidate's distance.
 
-        The keys are those of ``exif`` in ``skyline match --json``. ``heading_off_deg`` is how far
+        The keys are as in ``exif`` of ``skyline match --json``. ``heading_off_deg`` is how far
         the best candidate's heading is clockwise of the photo's; ``heading_is_magnetic`` is None
         where the photo does not say which north it counts from; ``left_aside`` names the GPS tags
         that cannot be used, with the reasons. None where the photo notes nothing.
         """
-        noted, best = self.skyline.noted, self.best
+        noted = self.skyline.noted
+        best = self.best
         if noted == NOTHING_NOTED:
             return None
         lon, lat = noted.lonlat_deg or (None, None)
@@ -165,7 +184,8 @@ class MatchResult:
 
     def exif_in_words(self, with_place: bool = True) -> str:
         """Return `exif` in sentences, with the noted longitude and latitude or without."""
-        exif, best = self.exif, self.best
+        exif = self.exif
+        best = self.best
         if exif is None:
             return ""
         sentences: list[str] = []
@@ -182,9 +202,11 @@ class MatchResult:
             north = _NORTH[exif["heading_is_magnetic"]]
             own = "" if best is None else f", {it} {best.heading_deg:.0f}"
             sentences.append(f"Its compass says {exif['heading_deg']:.0f} degrees{north}{own}.")
-        far_m = max(_FAR_M, _FAR_ACCURACIES * (exif["accuracy_m"] or 0.0))
+        far_m = max(
+            _DISAGREEMENT.position_m, _DISAGREEMENT.accuracies * (exif["accuracy_m"] or 0.0)
+        )
         wrong = ["position"] if (exif["distance_m"] or 0.0) > far_m else []
-        if abs(exif["heading_off_deg"] or 0.0) > _FAR_DEG:
+        if abs(exif["heading_off_deg"] or 0.0) > _DISAGREEMENT.compass_deg:
             wrong.append("compass")
         if wrong:
             both = " and ".join(wrong)
@@ -201,7 +223,8 @@ class MatchResult:
         a direction, ``lens`` if it notes a lens and no field of view was given.
         """
         candidates = [one.to_dict() for one in self.candidates]
-        lens, exif = self.skyline.lens, self.exif
+        lens = self.skyline.lens
+        exif = self.exif
         return {
             "photo": printable(self.name),
             **({"id": printable(self.id)} if self.id else {}),
@@ -216,8 +239,9 @@ class MatchResult:
         }
 
     def to_row(self) -> dict[str, Any]:
-        """Return a row of ``skyline match --results``: the best candidate and its verdict."""
-        best, exif = self.best, self.exif
+        """Return the best candidate and its verdict, as for ``--results``."""
+        best = self.best
+        exif = self.exif
         row = {} if best is None else best.to_dict()
         return row | {
             "photo": printable(self.name),
@@ -294,32 +318,41 @@ class JointResult:
 
     @property
     def agrees(self) -> tuple[bool, ...]:
-        """For each photo, whether it was taken at the best place rather than at any other."""
+        """Whether each photo was likely taken at the best place."""
         return tuple(bool(one.candidates) for one in self.results)
 
     @property
     def first(self) -> MatchResult | None:
-        """The result of the first photo that agrees; None if no photo does."""
+        """The result of the first photo that agrees, or None."""
         return next((one for one in self.results if one.candidates), None)
 
     @property
     def places(self) -> tuple[Pose, ...]:
-        """The places, best first, with the camera of the first photo that agrees."""
+        """The places, best first.
+
+        They have the camera of the first photo that agrees.
+        """
         return () if self.first is None else self.first.candidates
 
     @property
     def answer(self) -> Pose | None:
-        """The best place, if it is sure enough to be the answer; the camera as in `places`."""
+        """The best place, if it is sure enough to be the answer.
+
+        The camera is as in `places`.
+        """
         return self.places[0] if self.places and not self.refusal else None
 
     @property
     def within_m(self) -> float | None:
-        """Distance within which the answer is sure to be right; None without an answer."""
+        """Distance within which the answer is sure to be right.
+
+        None without an answer.
+        """
         return None if self.first is None else self.first.within_m
 
     @property
     def confidence(self) -> float | None:
-        """The estimated probability that the answer is right within `within_m`, if there is one."""
+        """The estimated probability that the answer is right within `within_m`."""
         return None if self.answer is None else _confidence_within(self.answer, self.within_m)
 
     def to_dict(self) -> dict[str, Any]:
@@ -366,7 +399,10 @@ class JointResult:
         return "\n  ".join(lines)
 
     def to_dataframe(self) -> Any:
-        """Return the cameras as a pandas DataFrame, one row a photo; see `skyline.to_dataframe`."""
+        """Return the cameras as a pandas DataFrame, one row a photo.
+
+        See `skyline.to_dataframe`.
+        """
         return to_dataframe(self.results)
 
     def to_geodataframe(self) -> Any:
@@ -380,14 +416,17 @@ class JointResult:
 
 
 class Tabled(Protocol):
-    """A result that is a row of a table: a match, or an orientation."""
+    """A match or an orientation, as a row of a table."""
 
     def to_row(self) -> dict[str, Any]:
         """Return the row's values by column."""
 
 
 def listed(results: Any) -> list[Any]:
-    """Return results as a list, a single one too; raises `InputError` for anything else."""
+    """Return results as a list, a single one too.
+
+    Raises `InputError` for anything else.
+    """
     if hasattr(results, "to_row"):
         return [results]
     if not isinstance(results, Iterable):

@@ -1,4 +1,4 @@
-"""Retrieval: from a photo's rays to a short list of poses among all places of a store.
+"""Retrieval: from rays to a short list of poses in a store.
 
 Coarse to fine: screening compares every heading of every place by phases (`skyline.match.screen`).
 Then whole poses are fitted to the skylines of the best places, first roughly to many of them, then
@@ -29,7 +29,7 @@ from skyline.terrain.heightfield import Ground, ground_slope
 
 @dataclass(frozen=True, slots=True)
 class RetrievalEffort:
-    """How many places and poses go from one step of a retrieval to the next."""
+    """How many places and poses each step of retrieval keeps."""
 
     sample: int = 2048
     """Places from which the mean and the deviation of a photo's scores are estimated."""
@@ -82,7 +82,7 @@ class Retriever:
         self._rough = min(max(share, _EFFORT.rough_least), _EFFORT.rough_most)
 
     def sample(self, count: int) -> Places:
-        """Return an even sample of some ``count`` places, the same in every process."""
+        """Return some ``count`` places, the same ones in every process."""
         step = max(1, len(self.places) // count)
         return self.places.take(np.arange(0, len(self.places), step, dtype=np.intp))
 
@@ -97,7 +97,7 @@ class Retriever:
         prior: Prior = NOTHING_KNOWN,
         report: ReportProgress = silent,
     ) -> Poses:
-        """Return up to ``count`` poses that a photo is most likely to have, best first.
+        """Return up to ``count`` likely poses of a photo, best first.
 
         Poses may lie between the places. Raises `InputError` where the search is narrowed to no
         place.
@@ -114,9 +114,9 @@ class Retriever:
         return fitted[fitted.suppress_non_maxima(count, separation_m, _EFFORT.same_turn_deg)]
 
     def fitted_all_round(self, rays: Rays) -> Poses:
-        """Return poses fitted to a photo at every place, from headings all the way round.
+        """Return poses fitted to a photo at every place.
 
-        The places are few, since none is screened out.
+        They start from headings all the way round. The places are few, since none is screened out.
         """
         places = self.places.take(np.arange(len(self.places), dtype=np.intp))
         row, heading_rad, log_scale = np.meshgrid(
@@ -139,13 +139,13 @@ class Retriever:
         count: int,
         report: ReportProgress = silent,
     ) -> list[Poses]:
-        """Return up to ``count`` places that photos of one eye most likely share, best first.
+        """Return up to ``count`` likely common places, best first.
 
-        The result holds the poses of each photo at the same places, in the same order. A place lies
-        within the narrowings of all photos, and its score is the sum of the photos' scores. A photo
-        that fits a place worse than its median place counts there with the median, so a photo of
-        another place cannot exclude the right one. Raises `InputError` where the search is narrowed
-        to no place.
+        The photos are of one eye. The result holds the poses of each photo at the same places, in
+        the same order. A place lies within the narrowings of all photos, and its score is the sum
+        of the photos' scores. A photo that fits a place worse than its median place counts there
+        with the median, so a photo of another place cannot exclude the right one. Raises
+        `InputError` where the search is narrowed to no place.
         """
         priors = [prior for _, prior in photos]
         screens = [self._screen(rays, prior) for rays, prior in photos]
@@ -192,10 +192,10 @@ class Retriever:
     def _start(
         self, rays: Rays, prior: Prior, places: Places, score: Float32Array, turns: int
     ) -> "_Start":
-        """Return the starts of fits: the best of so many turns of each place.
+        """Return the starts of fits.
 
-        Every field of view is tried. Places are handled in small groups, because each is compared
-        at every turn.
+        They are the best of so many turns of each place. Every field of view is tried. Places are
+        handled in small groups, because each is compared at every turn.
         """
         log_scales = _start_log_scales(rays)
         fovs_deg = rays.searched_fov_deg(log_scales)
@@ -221,7 +221,7 @@ class Retriever:
     def _fitted(
         self, photos: Sequence[Rays], starts: Sequence["_Start"], report: ReportProgress
     ) -> list[Poses]:
-        """Return the poses of each photo, fitted at the places that fit all of them best."""
+        """Return the photos' poses fitted at their best common places."""
         rough = [
             self._fits(rays, start, ROUGH_FIT, report)
             for rays, start in zip(photos, starts, strict=True)
@@ -259,7 +259,7 @@ class Retriever:
         return Poses.concatenate(found)
 
     def _ground_slope(self, places: Places) -> Float32Array:
-        """Return the rise of the ground to the east and to the north, (M, 2)."""
+        """Return the ground's rise (M, 2) to the east and north."""
         if self._ground is None:
             return np.zeros((len(places), 2), dtype=np.float32)
         rise = ground_slope(self._ground, places.easting_m, places.northing_m)
@@ -268,7 +268,7 @@ class Retriever:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class _Start(Rows):
-    """N places, their scores in screening, and the headings and scales that fits start from."""
+    """N places with the starts of their fits."""
 
     places: Places
     score: Float32Array
@@ -277,16 +277,20 @@ class _Start(Rows):
 
 
 def _total(found: Sequence[Poses]) -> Float64Array:
-    """Return the sum of photos' costs at the same places, none above its median."""
+    """Return the sum of photos' costs at the same places.
+
+    No cost counts for more than its photo's median.
+    """
     if len(found) == 1:
         return found[0].cost
     return np.asarray(sum(np.minimum(one.cost, np.median(one.cost)) for one in found))
 
 
 def _even_log_scales(rays: Rays, low: float, high: float, step: float) -> Float64Array:
-    """Return the middles of equal parts of a range, as few as are no wider than a step.
+    """Return the middles of equal parts of a range.
 
-    The step of a wide panorama is shorter: its ends move as far as those of a lens.
+    There are as few parts as possible, each no wider than a step. The step of a wide panorama is
+    shorter: its ends move as far as the ends of a lens.
     """
     if rays.is_panorama:
         step *= min(1.0, REFERENCE_FOV_DEG / rays.fov_deg)

@@ -81,21 +81,21 @@ class Alike(Rows):
     score: Float32Array
 
     def best(self, count: int) -> "Alike":
-        """Return the best ``count`` places; of equal ones those that come first in the source."""
+        """Return the best ``count`` places; equal ones in the source's order."""
         return self[np.lexsort((self.row, -self.score))[:count]]
 
     @classmethod
     def joined(cls, parts: list["Alike"]) -> "Alike":
-        """Return the places of several parts of a source as one list, not sorted."""
+        """Return the places of several parts of a source, unsorted."""
         none = cls(np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.float32))
         return cls.concatenate([none, *parts])
 
 
 class Screen:
-    """A photo at F assumed fields of view, prepared to be compared with any number of places.
+    """A photo at F assumed fields of view, ready to be compared.
 
-    Scores of fields of view are made comparable by their mean and deviation over all turns of a
-    sample of places.
+    It can be compared with any number of places. Scores of fields of view are made comparable by
+    their mean and deviation over all turns of a sample of places.
 
     Parameters
     ----------
@@ -139,7 +139,10 @@ class Screen:
         self.scale = np.divide(1.0, deviation, out=np.zeros_like(deviation), where=deviation > 0.0)
 
     def scores(self, phase: UInt8Array) -> Float32Array:
-        """Return the score (N,) of the best turn and field of view for phases (N, B)."""
+        """Return the score (N,) of the best turn and field of view.
+
+        The phases are (N, B).
+        """
         parts = range(0, len(phase), _PLACES_AT_ONCE)
         return np.concatenate([self._scores(phase[k : k + _PLACES_AT_ONCE]) for k in parts])
 
@@ -157,11 +160,11 @@ class Screen:
     def best_turns(
         self, phase: UInt8Array, count: int
     ) -> tuple[Float64Array, IntArray, Float32Array]:
-        """Return headings, indices of fields of view and scores of the best turns, each (N, C).
+        """Return the headings, fields of view and scores of the best turns.
 
-        The best comes first, and others are at least `_APART_TURNS` from better ones; where no open
-        turn is left, it is the best again. Headings are grid azimuths of the optical axis,
-        degrees.
+        Each is (N, C); fields of view are returned as their indices. The best comes first, and
+        others are at least `_APART_TURNS` from better ones; where no open turn is left, it is the
+        best again. Headings are grid azimuths of the optical axis, degrees.
         """
         sums = self._every_turn(phase)
         score = (sums - self.mean[:, np.newaxis]) * self.scale[:, np.newaxis]
@@ -183,7 +186,7 @@ class Screen:
         return sums.reshape(len(phase), self._fovs, PHASE_BINS)
 
     def _sums(self, phase: UInt8Array, parts: slice | IntArray) -> Float32Array:
-        """Return the sums (C, N, F, T) at some of the B / T runs of T turns."""
+        """Return the sums (C, N, F, T) at runs of T turns."""
         wanted = PHASE_BINS + self._span - 1
         strip = np.concatenate([phase[:, self._first :], phase, phase], axis=1)[:, :wanted]
         waves = decode_phases(strip).view(np.float32)
@@ -196,7 +199,7 @@ class Screen:
 
 
 def _rolled(level: Complex128Array) -> Complex128Array:
-    """Return the scaled derivative by roll of a photo's waves (F, B); see `Screen`."""
+    """Return the scaled derivative of waves (F, B) by roll; see `Screen`."""
     azimuth = np.radians((np.arange(PHASE_BINS + 1) - PHASE_BINS // 2) * (360.0 / PHASE_BINS))
     # Derivatives (B,) of the phases of level rays' rises by roll, radians per radian.
     growth = RISE_TO_TURN * np.diff(np.sin(azimuth))
@@ -206,7 +209,10 @@ def _rolled(level: Complex128Array) -> Complex128Array:
 
 
 def _at_turns(waves: Complex128Array) -> Float32Array:
-    """Return matrices (P, 2 (S + T - 1), F T) that hold waves (P, F, S) at T turns."""
+    """Return matrices that hold waves (P, F, S) at T turns.
+
+    They are (P, 2 (S + T - 1), F T).
+    """
     kinds, fovs, span = waves.shape
     bins = span + _TURNS_AT_ONCE - 1
     matrices = np.zeros((kinds, bins, 2, fovs, _TURNS_AT_ONCE), dtype=np.float32)
@@ -217,9 +223,9 @@ def _at_turns(waves: Complex128Array) -> Float32Array:
 
 
 def waves_of(rays: Rays) -> Complex128Array:
-    """Return weight * exp(i phase) (B,) of level rays' rises; 0 where the photo sees nothing.
+    """Return weight * exp(i phase) (B,) of level rays' rises.
 
-    Bin B / 2 is straight ahead.
+    It is 0 where the photo sees nothing. Bin B / 2 is straight ahead.
     """
     y, weight = on_bins(rays, 0.0, PHASE_BINS)
     rise = np.roll(y, -1) - y
@@ -231,12 +237,15 @@ def waves_of(rays: Rays) -> Complex128Array:
 
 
 def turn_grid_heading_deg(turn: IntArray) -> Float64Array:
-    """Return the grid azimuth of the optical axis at turns, degrees in [0, 360)."""
+    """Return the grid headings of turns, degrees in [0, 360)."""
     return np.asarray((turn + PHASE_BINS // 2 + 0.5) * (360.0 / PHASE_BINS) % 360.0)
 
 
 def turns_within(grid_heading_deg: float, slack_deg: float) -> BoolArray:
-    """Mark the turns (B,) within ``slack_deg``, plus a turn's width, of a grid heading."""
+    """Mark the turns (B,) that lie near a grid heading.
+
+    They lie within ``slack_deg``, plus a turn's width, of it.
+    """
     axis_deg = turn_grid_heading_deg(np.arange(PHASE_BINS))
     off_deg = np.abs(in_turn(axis_deg - grid_heading_deg))
     return np.asarray(off_deg <= slack_deg + 360.0 / PHASE_BINS)
@@ -249,10 +258,11 @@ def screen_places(
     contains: Callable[[Places], BoolArray],
     report: ReportProgress = silent,
 ) -> Alike:
-    """Return the best ``count`` places of a source, or fewer where fewer are contained.
+    """Return the best ``count`` places of a source.
 
-    ``scores`` gives the scores (N,) of phases (N, B): `Screen.scores`, or a sum of several;
-    ``contains`` marks which places (N,) of a block are searched.
+    There are fewer if fewer are contained. ``scores`` gives the scores (N,) of phases (N, B):
+    `Screen.scores`, or a sum of several; ``contains`` marks which places (N,) of a block are
+    searched.
     """
 
     def scored(blocks: list[tuple[int, Places]]) -> tuple[Alike, int]:
@@ -282,7 +292,7 @@ def screen_places(
 
 
 def _batches(source: PlaceSource) -> Iterator[list[tuple[int, Places]]]:
-    """Yield the blocks of places, each with its first row, in lists for one thread."""
+    """Yield lists for one thread of places' blocks and first rows."""
     batch = []
     first = 0
     for places in source.blocks():

@@ -31,14 +31,10 @@ from skyline.store.read import Store
 from skyline.terrain.heightfield import HeightField, ground_of
 from skyline.terrain.viewpoints import LEAST_EYE_HEIGHT_M, Viewpoints
 
-_SHORTLIST_SHARE = 1 / 1500
-"""Poses that retrieval returns for each place of the store: the more places there are, the more are
-alike."""
 _SHORTLIST_LEAST = 400
+"""Least number of poses that retrieval returns."""
 _SEPARATION_M = 100.0
 """Least distance between candidates."""
-_SHOWN_EYES = 20_000
-"""Most eyes that are shown on a map."""
 
 
 @contextmanager
@@ -77,7 +73,8 @@ class FullMatcher(SearchMethod):
         self._scene = scene
         self.retriever = Retriever(places, ground)
         self.models = confidence.models()
-        share = round(_SHORTLIST_SHARE * len(places))
+        # The more places there are, the more are alike.
+        share = round(1 / 1500 * len(places))
         self._shortlist = min(max(share, _SHORTLIST_LEAST), WHOLE.shortlist)
 
     @classmethod
@@ -89,7 +86,7 @@ class FullMatcher(SearchMethod):
 
     def eyes(self) -> Viewpoints:
         """Return the eyes of the places; of very many, every n-th."""
-        some = self.retriever.sample(_SHOWN_EYES)
+        some = self.retriever.sample(20_000)
         eyes = (some.easting_m, some.northing_m, some.eye_elevation_m)
         east_m, north_m, eye_m = (column.astype(np.float64) for column in eyes)
         return Viewpoints(easting_m=east_m, northing_m=north_m, eye_elevation_m=eye_m)
@@ -119,11 +116,11 @@ class FullMatcher(SearchMethod):
     def found(
         self, rays: Rays, prior: Prior, report: ReportProgress = silent
     ) -> tuple[Poses, Poses | None]:
-        """Return the poses retrieved for a photo, and the refined ones; None without a scene.
+        """Return the poses retrieved for a photo, and the refined ones.
 
-        A quick refinement comes first, and is enough where one place fits far better than any
-        other, as with most skylines. Otherwise the poses are refined with more effort. Raises as
-        `search`.
+        The refined ones are None without a scene. A quick refinement comes first, and is enough
+        where one place fits far better than any other, as with most skylines. Otherwise the poses
+        are refined with more effort. Raises as `search`.
         """
         found = self.retriever.shortlist(rays, self._shortlist, prior, report)
         if not len(found) or self._scene is None:
@@ -136,27 +133,30 @@ class FullMatcher(SearchMethod):
 
     @one_blas_thread()
     def other_projection(self, rays: Rays, best: Pose, prior: Prior) -> OtherProjection | None:
-        """Return the likeliest other projection of a photo, as its best candidate shows it.
+        """Return the likeliest other projection of a photo.
 
-        None for a panorama, and for a candidate that is not refined or more likely wrong.
+        None for a panorama, and if its best candidate is not refined or more likely wrong.
         """
         scene = self._scene
-        sure = best.confidence_1km or 0.0
-        if scene is None or not best.refined or sure < projections.LEAST_CONFIDENCE:
+        if scene is None or not best.refined:
             return None
         return projections.other_projection(
-            rays, Poses.of(best), lambda bent: Refinement(bent, scene, QUICK, prior)
+            rays,
+            Poses.of(best),
+            best.confidence_1km or 0.0,
+            lambda bent: Refinement(bent, scene, QUICK, prior),
         )
 
     @one_blas_thread()
     def fitted(self, rays: Rays, start: Pose, prior: Prior, about_start: Rays) -> Poses:
-        """Return a pose refined by rendering, or none where nothing near it fits.
+        """Return a pose refined by rendering.
 
-        A start farther off is fitted with ``about_start``, the photo's rays about the start's field
-        of view, while the eye keeps its height above the ground, if a camera can be held so low.
-        The pose is then fitted as in a search, so its cost compares with those of a search with
-        the same rays and prior. The confidence is learned from such fits (`confidence.FITTED`).
-        Raises `InputError` without a scene, and for a pose off the map or on a hole.
+        There is none where nothing near it fits. A start farther off is fitted with
+        ``about_start``, the photo's rays about the start's field of view, while the eye keeps its
+        height above the ground, if a camera can be held so low. The pose is then fitted as in a
+        search, so its cost compares with costs of a search with the same rays and prior. The
+        confidence is learned from such fits (`confidence.FITTED`). Raises `InputError` without a
+        scene, and for a pose off the map or on a hole.
         """
         scene = self._needed_scene()
         pose = Poses.of(start)
@@ -228,7 +228,7 @@ class FullMatcher(SearchMethod):
         return self._scene
 
     def _with_noted(self, found: Poses, rays: Rays, prior: Prior, report: ReportProgress) -> Poses:
-        """Return retrieved poses with those around the place that the photo's EXIF notes.
+        """Return retrieved poses with those around the photo's noted place.
 
         The best of these gets the cost of the best pose of all; refinement then compares them.
         """

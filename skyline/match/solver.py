@@ -1,4 +1,4 @@
-r"""Damped Gauss-Newton on a photo's residuals: position, attitude and field of view together.
+r"""Damped Gauss-Newton on a photo's residuals, for all of its pose.
 
 An eye that moves by (e, n, up) sees a skyline point at azimuth a, elevation tangent y and
 horizontal distance d move by
@@ -22,11 +22,9 @@ import numpy as np
 from skyline.arrays import Complex128Array, Float64Array, IntArray, Rows
 from skyline.camera import MOST_DISTORTION
 from skyline.match.likelihood import (
-    ABOVE_SHARE,
-    BELOW_SHARE,
-    RANGE_RAD,
     HeightErrors,
     Likelihood,
+    density_without_terrain,
     likelihood,
 )
 from skyline.match.prior import EyeHeightPrior, PlacePrior
@@ -64,7 +62,7 @@ _HELD = 1e14
 
 @dataclass(frozen=True, slots=True)
 class SolverPriors:
-    """What the solver expects of cameras and of the terrain model, and how it damps steps."""
+    """What the solver expects of cameras and terrain, and its damping."""
 
     pitch_sd_rad: float = np.radians(6.0)
     """Standard deviation from a level camera."""
@@ -83,7 +81,7 @@ class SolverPriors:
     least_columns: int = 16
     """A fit needs this many columns with a known skyline on both sides."""
     least_rough_distortion: float = 0.03
-    """Rough rounds fit no distortion of which less is expected: it moves rays by less than the
+    """Rough rounds fit no distortion if less than this is expected: it moves rays by less than the
     largest errors that these rounds assume, and it would bend the skylines of wrong slopes to
     fit."""
     damping_rad: float = 0.05
@@ -97,7 +95,7 @@ _PRIORS = SolverPriors()
 
 @dataclass(frozen=True, slots=True)
 class SolverMode:
-    """The detail in which errors are modelled, and the number of steps taken from one rendering."""
+    """How a fit models errors, and how far it goes."""
 
     steps: int
     """Gauss-Newton steps from one rendering."""
@@ -120,7 +118,7 @@ their statistical meaning."""
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Curves(Rows):
-    """The skylines that M eyes see, with their derivatives by the eyes' moves."""
+    """The skylines of M eyes, with derivatives by the eyes' moves."""
 
     channels: Float64Array
     """(M, B, 6 or 7) float64. At azimuth 360 b / B degrees: elevation tangent, its slope by
@@ -144,10 +142,11 @@ class Curves(Rows):
         eye_height_m: Float64Array,
         surface_y: Float64Array | None = None,
     ) -> "Curves":
-        """Return the curves of skylines all the way round, as `joined_views` returns them.
+        """Return the curves of skylines all the way round.
 
-        ``ground_slope`` (M, 2) is the rise of the ground a metre to the east and to the north,
-        ``surface_y`` (M, B) the elevation tangents of the surface model, seen by the same eyes.
+        The skylines are as `joined_views` returns them. ``ground_slope`` (M, 2) is the rise of the
+        ground a metre to the east and to the north, ``surface_y`` (M, B) the elevation tangents of
+        the surface model, seen by the same eyes.
         """
         step = 2.0 * np.pi / y.shape[1]
         slope = (np.roll(y, -1, axis=1) - np.roll(y, 1, axis=1)) / (2.0 * step)
@@ -160,7 +159,10 @@ class Curves(Rows):
         return cls(np.stack(channels, axis=-1), place_m, ground_m, eye_height_m)
 
     def at(self, azimuth_rad: Float64Array) -> Float64Array:
-        """Return the channels, (M, R, 6 or 7), at azimuths (M, R), linear between bins."""
+        """Return the channels (M, R, 6 or 7) at azimuths (M, R).
+
+        They are linear between bins.
+        """
         count, bins, channels = self.channels.shape
         position = azimuth_rad * (bins / (2.0 * np.pi))
         left = np.floor(position).astype(np.intp)
@@ -271,8 +273,8 @@ class Solver:
         state[:, HEADING] = np.radians(poses.grid_heading_deg)
         state[:, PITCH] = np.radians(poses.pitch_deg)
         state[:, ROLL] = np.radians(poses.roll_deg)
-        scale = self.rays.log_scale(poses.fov_deg)
-        state[:, LOG_SCALE] = np.clip(scale, self._low[LOG_SCALE], self._high[LOG_SCALE])
+        log_scale = self.rays.log_scale(poses.fov_deg)
+        state[:, LOG_SCALE] = np.clip(log_scale, self._low[LOG_SCALE], self._high[LOG_SCALE])
         if not self.rays.is_panorama and poses.distortion is not None:
             state[:, WARP:] = poses.distortion[:, np.newaxis]
         angle = np.full(count, _WIDEST_ANGLE)
@@ -281,7 +283,10 @@ class Solver:
         return Fit(state, angle, height, np.full(count, np.inf), odds)
 
     def at_height(self, fit: Fit, height_m: Float64Array) -> Fit:
-        """Return fits with eyes at heights (M,) above the ground, clipped to those tried."""
+        """Return fits with eyes at heights (M,) above the ground.
+
+        The heights are clipped to those that are tried.
+        """
         state = fit.state.copy()
         low, high = self._low[EYE_HEIGHT], self._high[EYE_HEIGHT]
         state[:, EYE_HEIGHT] = np.clip(height_m, low, high)
@@ -309,9 +314,10 @@ class Solver:
         )
 
     def improve(self, curves: Curves, fit: Fit, step_m: Float64Array) -> Fit:
-        """Return fits after the mode's steps from one rendering, with newly chosen deviations.
+        """Return fits after the mode's steps from one rendering.
 
-        ``step_m`` (M,) is the deviation that damps the eye's displacement; with 0 the eye stays.
+        The deviations of their errors are chosen anew. ``step_m`` (M,) is the deviation that damps
+        the eye's displacement; with 0 the eye stays.
         """
         errors = None
         for step in range(self.mode.steps + 1):
@@ -324,10 +330,11 @@ class Solver:
         return fit
 
     def settle(self, curves: Curves, fit: Fit) -> Fit:
-        """Return fits whose attitude is solved from a distant start, the eye held.
+        """Return fits whose attitude is solved from a distant start.
 
-        Large errors take trees for terrain and stay large. A second start therefore begins at the
-        pitch on which most columns agree, and the better of both counts.
+        The eye stays where it is. Large errors take trees for terrain and stay large. A second
+        start therefore begins at the pitch on which most columns agree, and the better of both
+        counts.
         """
         none = np.zeros(len(fit.cost))
         wide = self.improve(curves, fit, none)
@@ -335,12 +342,11 @@ class Solver:
         return wide.replaced(agreed.cost < wide.cost, agreed)
 
     def _agreed(self, curves: Curves, fit: Fit) -> Fit:
-        """Return the fit with the pitch on which most columns agree within small errors."""
+        """Return the fit with the pitch on which most columns agree."""
         linear = self.linearize(curves, fit.state)
         off = linear.residual_rad[..., np.newaxis] - _AGREEMENT_RAD
         density = np.exp(-0.5 * (off / _AGREEMENT_SD_RAD) ** 2) / _AGREEMENT_SD_RAD
-        other = np.where(off >= 0.0, ABOVE_SHARE, BELOW_SHARE)
-        odds = np.log(density + other / RANGE_RAD)
+        odds = np.log(density + density_without_terrain(off))
         agreement = np.tensordot(np.nan_to_num(odds), self.rays.weight, axes=(1, 0))
         state = fit.state.copy()
         state[:, PITCH] -= _AGREEMENT_RAD[np.argmax(agreement, axis=1)]
@@ -367,9 +373,9 @@ class Solver:
 
     def linearize(self, curves: Curves, state: Float64Array) -> Linearization:
         """Return residuals and their derivatives at states (M, P)."""
-        pitch, roll, scale = state[:, PITCH:WARP].T
+        pitch, roll, log_scale = state[:, PITCH:WARP].T
         turned, ray_y, turned_change, ray_change = self.rays.levelled_with_changes(
-            pitch, roll, scale, state[:, WARP:]
+            pitch, roll, log_scale, state[:, WARP:]
         )
         azimuth = turned + state[:, HEADING, np.newaxis]
         skyline = curves.at(azimuth)
@@ -397,10 +403,10 @@ class Solver:
         )
 
     def beyond_rad(self, linear: Linearization) -> Float64Array:
-        """Return how far terrain past the data's edge may rise above the skyline, (M, R).
+        """Return how far terrain past the data's edge may rise.
 
-        Below 0 where no such terrain reaches the skyline; 0 where the skyline or the edge is
-        unknown.
+        The angle (M, R) is measured from the skyline. It is below 0 where no such terrain reaches
+        the skyline, and 0 where the skyline or the edge is unknown.
         """
         if self._edge is None:
             return np.zeros_like(linear.residual_rad)
@@ -421,7 +427,10 @@ class Solver:
         )
 
     def _likelihood(self, fit: Fit, linear: Linearization, errors: HeightErrors) -> Likelihood:
-        """Return the likelihood of states, its cost with the priors, for their deviations."""
+        """Return the likelihood of states for their chosen deviations.
+
+        Its cost includes the priors.
+        """
         found = likelihood(
             linear.residual_rad,
             self.rays.weight,
@@ -452,7 +461,10 @@ class Solver:
         errors: HeightErrors,
         steps: Sequence[tuple[int, int]],
     ) -> tuple[Fit, Likelihood]:
-        """Return the fit with the likeliest deviations: the current ones, or those after a step."""
+        """Return the fit with the likeliest deviations.
+
+        They are the current ones, or those after one of the steps.
+        """
         angle = fit.angle
         height = fit.height
         best = self._likelihood(fit, linear, errors)
@@ -477,7 +489,7 @@ class Solver:
     ) -> Fit:
         """Return the fit after one step within the bounds of the state."""
         miss = np.nan_to_num(linear.residual_rad)[..., np.newaxis]
-        # The prior pulls the eye to that of the curve, and the other unknowns to usual values.
+        # The prior pulls the eye to the curve's eye, and the other unknowns to usual values.
         height_m = fit.state[:, EYE_HEIGHT]
         step_m = np.maximum(step_m, _NO_STEP_M)
         prior = np.tile(self._prior, (len(step_m), 1))
@@ -492,7 +504,7 @@ class Solver:
         normal = found.product(linear.jacobian, linear.jacobian)
         normal += (prior + damping)[:, np.newaxis] * np.eye(self.size)
         gradient = found.product(linear.jacobian, miss)[..., 0] + prior * off
-        gradient[:, LOG_SCALE] -= found.magnification_pull(miss[..., 0])
+        gradient[:, LOG_SCALE] -= found.log_scale_pull(miss[..., 0])
         self._pull_to_noted(linear, normal, gradient)
         state = fit.state - np.linalg.solve(normal, gradient[..., np.newaxis])[..., 0]
         bounded = np.clip(state, self._low, self._high)
@@ -509,7 +521,7 @@ class Solver:
     def _pull_to_noted(
         self, linear: Linearization, normal: Float64Array, gradient: Float64Array
     ) -> None:
-        """Add the pull of eyes (M,) to the place noted in EXIF to normal equations, in place."""
+        """Add the pull to EXIF's place to normal equations, in place."""
         if self._noted is None:
             return
         precision, offset_m = self._noted.pull(linear.place_m, linear.eye_m)

@@ -1,7 +1,7 @@
 """Refinement of several photos of one eye, together."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,24 +17,31 @@ from skyline.match.refine import (
 from skyline.match.solver import EYE_HEIGHT, TEMPERATURE
 from skyline.pose import DISTANCES_M, Poses
 
-_STRANGER = 10.0
-"""L: one photo in twenty was taken somewhere else, at one of a thousand places: log(20 * 1000) is
-about 10."""
-_KEPT_SHARE = 0.5
-"""Share of places kept from one round to the next: several photos separate right places from wrong
-ones at once."""
-_KEPT_LEAST = 8
-"""Least number of places kept."""
-_HEADING_STEP_DEG = 6.0
-"""Step of the headings that are tried for a photo of unknown heading."""
 _EYE = slice(EYE_HEIGHT + 1)
 """Columns of a state that all photos of one eye share."""
-_LEAST_SHARE = 1e-6
-"""Least weight of a photo, so that the mean of the steps exists where no photo fits."""
+
+
+@dataclass(frozen=True, slots=True)
+class JointSearch:
+    """What a joint refinement assumes, and which places it follows."""
+
+    stranger: float = 10.0
+    """L, the log odds that a photo was taken at the place where it fits best: one photo in twenty
+    was taken somewhere else, at one of a thousand places, and log(20 * 1000) is about 10."""
+    kept_share: float = 0.5
+    """Share of places kept from one round to the next: several photos separate right places from
+    wrong ones at once."""
+    kept_least: int = 8
+    """Least number of places kept."""
+    heading_step_deg: float = 6.0
+    """Step of the headings that are tried for a photo of unknown heading."""
+
+
+_SEARCH = JointSearch()
 
 
 class JointRefinement:
-    r"""The joint refinement of N photos of one eye, each with its own `Refinement`.
+    r"""The joint refinement of N photos of one eye by their refinements.
 
     Each photo has its own attitude and field of view, and all share the eye. A round renders the
     view of each photo from each place, lets each photo solve its own step, and moves the eye by the
@@ -59,14 +66,15 @@ class JointRefinement:
     def run(
         self, found: Sequence[Poses], alone: Sequence[Poses]
     ) -> tuple[tuple[Poses, ...], BoolArray]:
-        """Return the M places where the N photos fit together, best first, and which agree there.
+        """Return the M places where the N photos fit together.
 
-        ``found`` holds each photo's poses; all photos have the same places in the same order, best
-        first. ``alone`` holds the best pose from each photo's own refinement, if there is one. The
-        returned poses of each photo are at the same places; their costs are those of the
-        places. Margins and covariances are joint ones, with the information of one average photo,
-        not the sum: photos of one place share the terrain model's errors. A photo agrees, (N, M)
-        bool, where it was more likely taken than somewhere else.
+        They are sorted, best first; the second value says which photos agree there. ``found`` holds
+        each photo's poses; all photos have the same places in the same order, best first. ``alone``
+        holds the best pose from each photo's own refinement, if there is one. The returned poses of
+        each photo are at the same places; their costs are the costs of the places. Margins and
+        covariances are joint ones, with the information of one average photo, not the sum: photos
+        of one place share the terrain model's errors. A photo agrees, (N, M) bool, where it was
+        more likely taken than somewhere else.
         """
         effort = self._effort
         particles = [
@@ -74,7 +82,7 @@ class JointRefinement:
             for solo, places in zip(self._solos, found, strict=True)
         ]
         for _ in range(effort.rounds - 1):
-            kept = max(_KEPT_LEAST, int(_KEPT_SHARE * len(particles[0])))
+            kept = max(_SEARCH.kept_least, int(_SEARCH.kept_share * len(particles[0])))
             particles = self._moved(self._kept(particles, kept))
         around = self._kept(particles, effort.restarts)
         around = [solo.around(own) for solo, own in zip(self._solos, around, strict=True)]
@@ -92,7 +100,7 @@ class JointRefinement:
         return self._poses(self._kept(particles, effort.finalists))
 
     def _moved(self, particles: Sequence[Particles]) -> list[Particles]:
-        """Return particles after one common step, where the renderings from there fit better."""
+        """Return particles after one common step, where new renderings fit better."""
         solved = [
             replace(own, fit=solver.improve(own.curves, own.fit, own.step_m))
             for solver, own in zip(self._solvers, particles, strict=True)
@@ -108,31 +116,41 @@ class JointRefinement:
         return [old.kept(own, after < before) for old, own in zip(particles, new, strict=True)]
 
     def _kept(self, particles: Sequence[Particles], count: int) -> list[Particles]:
-        """Return the best distinct places, and rivals of the very best, best first."""
+        """Return the best distinct places, best first.
+
+        The very best one's rivals are among them.
+        """
         standing = self._solos[0].poses(particles[0])
         standing = replace(standing, cost=_cost(self._off(particles)))
         chosen = best_and_rivals(standing, count)
         return [own[chosen] for own in particles]
 
     def _off(self, particles: Sequence[Particles]) -> Float64Array:
-        """Return the costs of photos (N, M) above the least cost of each anywhere."""
+        """Return the costs (N, M) above each photo's least cost anywhere."""
         cost = np.stack([own.fit.cost for own in particles])
         least = np.minimum(self._least, cost.min(axis=1, initial=np.inf))
         return cost - np.where(np.isfinite(least), least, 0.0)[:, np.newaxis]
 
     def _precision(self, particles: Sequence[Particles], share: Float64Array) -> Float64Array:
-        """Return the precisions (N, M, 3, 3) of the eye by each photo, times its ``share``."""
+        """Return the precisions (N, M, 3, 3) of the eye.
+
+        Each photo gives one, which counts with its ``share``.
+        """
         covariance = np.stack(
             [
                 solver.covariance(*solver.evaluate(own.curves, own.fit))[:, _EYE, _EYE]
                 for solver, own in zip(self._solvers, particles, strict=True)
             ]
         )
-        share = np.maximum(share, _LEAST_SHARE)[..., np.newaxis, np.newaxis]
+        # The mean of the steps exists even where no photo fits.
+        share = np.maximum(share, 1e-6)[..., np.newaxis, np.newaxis]
         return np.asarray(np.linalg.inv(covariance) * share)
 
     def _poses(self, particles: Sequence[Particles]) -> tuple[tuple[Poses, ...], BoolArray]:
-        """Return the poses of each photo at the places, and which photos agree; see `run`."""
+        """Return each photo's poses at the places; see `run`.
+
+        The second value says which photos agree.
+        """
         off = self._off(particles)
         cost = _cost(off)
         share = _share(off)
@@ -142,7 +160,7 @@ class JointRefinement:
         covariance_m2 = 0.5 * (covariance_m2 + covariance_m2.swapaxes(1, 2))
         poses = [solo.with_figures(own) for solo, own in zip(self._solos, particles, strict=True)]
         standing = replace(poses[0], cost=cost)
-        # Margins and covariances are those of one photo in the mean, and so are these odds.
+        # Margins and covariances are of one average photo, and so are these odds.
         covariance_m2 = spread_m2(replace(standing, cost=cost / len(poses)), covariance_m2)
         margin, far_margin = (
             standing.rival_margin(least_m) / np.maximum(agrees.sum(axis=0), 1)
@@ -156,8 +174,8 @@ class JointRefinement:
 
 
 def _at_best_headings(solo: Refinement, place_m: Complex128Array) -> Particles:
-    """Return the best particle of a photo at each place, of all headings."""
-    turn_deg = np.arange(0.0, 360.0, _HEADING_STEP_DEG)
+    """Return a photo's best particle of all headings, by place."""
+    turn_deg = np.arange(0.0, 360.0, _SEARCH.heading_step_deg)
     at_m = place_m[np.repeat(np.arange(len(place_m)), len(turn_deg))]
     none = np.zeros(len(at_m))
     heading_deg = np.tile(turn_deg, len(place_m))
@@ -183,12 +201,15 @@ def _joined(*parts: Sequence[Particles]) -> list[Particles]:
 
 
 def _cost(off: Float64Array) -> Float64Array:
-    """Return the costs of places (M,) by `JointRefinement._off`; infinite where no photo fits."""
-    cost = -TEMPERATURE * np.logaddexp(-off / TEMPERATURE, -_STRANGER).sum(axis=0)
+    """Return the costs of places (M,) by `JointRefinement._off`.
+
+    They are infinite where no photo fits.
+    """
+    cost = -TEMPERATURE * np.logaddexp(-off / TEMPERATURE, -_SEARCH.stranger).sum(axis=0)
     return np.where(np.isinf(off).all(axis=0), np.inf, cost)
 
 
 def _share(off: Float64Array) -> Float64Array:
-    """Return the probability (N, M) that each photo was taken at each place."""
-    odds = _STRANGER - off / TEMPERATURE
+    """Return the probabilities (N, M) that photos were taken at places."""
+    odds = _SEARCH.stranger - off / TEMPERATURE
     return 1.0 / (1.0 + np.exp(-np.clip(odds, -GREATEST_LOG_ODDS, GREATEST_LOG_ODDS)))

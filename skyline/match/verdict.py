@@ -1,4 +1,4 @@
-"""The verdict on a match: how near the answer is to be right, or why there is no answer.
+"""The verdict on a match: how sure it is, or why refused.
 
 All reasons for which a photo has no answer are here, in the order in which they are asked:
 
@@ -46,7 +46,7 @@ _LIMITS = _Limits()
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """Whether the best pose of a photo is the answer, and how near it is to be right."""
+    """Whether the best pose is the answer, and how sure."""
 
     refusal: str | None = None
     """Why the pose is not the answer; None if it is."""
@@ -99,7 +99,7 @@ class Verdict:
 
     @classmethod
     def of_fit(cls, fitted: Pose | None, answer: Pose | None, config: MatchConfig) -> "Verdict":
-        """Return the verdict on a fit that led away from all candidates of a search.
+        """Return the verdict on a fit that reached no candidate.
 
         The fit has failed if the answer of the search fits better, or if poses that fit as badly
         are seldom right. The confidence of ``fitted`` comes from the models named
@@ -124,12 +124,12 @@ class Verdict:
 
     @classmethod
     def _on(cls, best: Pose, refusal: str | None, config: MatchConfig) -> "Verdict":
-        """Return the verdict on a pose that is the answer unless it is refused."""
+        """Return the verdict on a pose, the answer unless refused."""
         return cls(refusal, None if refusal else _sure_within_m(best, config))
 
 
 def too_little(skyline: PhotoSkyline) -> str | None:
-    """Return the refusal of a photo that shows too little skyline; None if it shows enough."""
+    """Return the refusal of a photo with too little skyline, or None."""
     widest_deg = FOV_RANGE_DEG[1] if skyline.fov_deg is None else skyline.fov_deg
     if skyline.lens is not None and skyline.lens.most_fov_deg is not None:
         widest_deg = skyline.lens.most_fov_deg
@@ -179,12 +179,13 @@ def refusal_of(
 
 
 def candidate_reached(candidates: Sequence[Pose], start: Pose, fitted: Pose | None) -> Pose | None:
-    """Return the candidate of a search to which a fit has led; None if it led elsewhere.
+    """Return the candidate to which a fit has led.
 
-    The fit leads to the nearest candidate of the same answer, or back to the one that it started
-    from, whichever fits better. A pose that fits better than both replaces the nearest candidate:
-    it gets the rank and the confidences, which are of the answer. But where a pose fits better than
-    all candidates, only the best one's answer can be its own; the search did not know of others.
+    None if it led elsewhere. The fit leads to the nearest candidate of the same answer, or back to
+    the one that it started from, whichever fits better. A pose that fits better than both replaces
+    the nearest candidate: it gets the rank and the confidences, which are of the answer. But where
+    a pose fits better than all candidates, only the best one's answer can be its own; the search
+    did not know of others.
 
     Costs compare, since a fit ends with the rays and the prior of the search. Of two poses of one
     answer neither fits better if their odds are less than e to 1.
@@ -212,11 +213,11 @@ def candidate_reached(candidates: Sequence[Pose], start: Pose, fitted: Pose | No
 
 
 def _sure_within_m(best: Pose, config: MatchConfig) -> float | None:
-    """Return the distance within which a pose is sure enough to be right, 200 or 1000 m.
+    """Return the distance within which a pose is surely right.
 
-    None if it is sure within neither. An answer within 200 m may leave half the doubt that an
-    answer within 1 km may leave, and the pose's radius may not exceed 200 m: a wrong answer is
-    worse than a vague one.
+    It is 200 or 1000 m. None if it is sure within neither. An answer within 200 m may leave half
+    the doubt that an answer within 1 km may leave, and the pose's radius may not exceed 200 m: a
+    wrong answer is worse than a vague one.
     """
     doubt = 1 - config.min_confidence
     if best.confidence is None or best.confidence_1km is None:
@@ -227,7 +228,7 @@ def _sure_within_m(best: Pose, config: MatchConfig) -> float | None:
 
 
 def _lack_of_confidence(candidates: Sequence[Pose], config: MatchConfig) -> str | None:
-    """Return the refusal of a best candidate that is not sure enough; None if it is."""
+    """Return the refusal of a best candidate that is unsure, or None."""
     best = candidates[0]
     if best.confidence is None or _sure_within_m(best, config) is not None:
         return None
@@ -239,7 +240,7 @@ def _lack_of_confidence(candidates: Sequence[Pose], config: MatchConfig) -> str 
 
 
 def _slope_hint(candidates: Sequence[Pose]) -> str:
-    """Return a hint if the skyline is a near slope that most candidates have; empty if not."""
+    """Return a hint if most candidates have a near slope; else empty."""
     distances_m = [one.skyline_m for one in candidates if one.skyline_m is not None]
     near = [distance for distance in distances_m if distance < _LIMITS.near_slope_m]
     if len(near) < max(2, len(candidates) // 2 + 1):
@@ -251,7 +252,7 @@ def _slope_hint(candidates: Sequence[Pose]) -> str:
 
 
 def _fov_hint(best: Pose, skyline: PhotoSkyline, rays: Rays) -> str:
-    """Return a hint if a pose's field of view is far from the one expected; empty if not."""
+    """Return a hint if a field of view is unexpected; else empty."""
     expected_deg = skyline.fov_deg
     if expected_deg is None or abs(best.fov_deg - expected_deg) < 2.0 * rays.fov_sd_deg:
         return ""
@@ -262,7 +263,10 @@ def _fov_hint(best: Pose, skyline: PhotoSkyline, rays: Rays) -> str:
 
 
 def _fov_at_bound(best: Pose, rays: Rays) -> str | None:
-    """Return the refusal of a field of view at an end of the range searched; None elsewhere."""
+    """Return the refusal of a field of view at a bound.
+
+    None for a field of view within the range searched.
+    """
     low_deg, high_deg = rays.fov_bounds_deg
     near_deg = _LIMITS.at_bound_share * (high_deg - low_deg)
     if low_deg == high_deg or low_deg + near_deg < best.fov_deg < high_deg - near_deg:

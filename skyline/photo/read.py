@@ -4,9 +4,12 @@ import logging
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from PIL.Image import Image
+
 from skyline.arrays import UInt8Array
 from skyline.camera import Projection
-from skyline.errors import InputError
+from skyline.errors import InputError, numbers_of
 from skyline.photo.extract import extract_skyline
 from skyline.photo.image import Picture
 from skyline.photo.lens import MAX_PINHOLE_ASPECT
@@ -52,6 +55,27 @@ def read_skyline(
     if is_table(path):
         return read_trace(path, fov_deg, projection)
     return find_skyline(read_photo(path, fov_deg, projection=projection), sky_model)
+
+
+def named_skyline(
+    photo: Picture | PhotoSkyline, fov_deg: float | None = None
+) -> tuple[str, PhotoSkyline]:
+    """Return the file of a photo, empty for pixels and for a skyline, and its skyline.
+
+    The skyline has the given field of view, or else its own. Raises as `read_skyline`, and
+    `InputError` for anything but one photo.
+    """
+    if fov_deg is not None:
+        error = f"the field of view is {fov_deg!r}; expected a number of degrees"
+        (fov_deg,) = numbers_of([fov_deg], 1, error)
+    if isinstance(photo, PhotoSkyline):
+        return "", photo if fov_deg is None else photo.with_fov(fov_deg)
+    if not isinstance(photo, str | Path | Image | np.ndarray):
+        raise InputError(
+            f"the photo is of type {type(photo).__name__}; expected one path, PIL image, array of "
+            "uint8 or PhotoSkyline"
+        )
+    return str(photo) if isinstance(photo, str | Path) else "", read_skyline(photo, fov_deg)
 
 
 def find_skyline(photo: Photo, sky_model: Any = None) -> PhotoSkyline:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from skyline.match.likelihood import REACH_M, HeightErrors, likelihood
+from skyline.match.likelihood import ErrorModel, HeightErrors, likelihood
 
 
 def _setting(nodes=6, columns=40):
@@ -35,14 +35,14 @@ def test_height_errors_have_the_stated_covariance_at_their_nodes():
     point = (distance * np.exp(1j * azimuth))[0]
 
     def correlation(d):
-        x = d * 2.1461932 / REACH_M
+        x = d * 2.1461932 / ErrorModel().reach_m
         return (1.0 + x) * np.exp(-x)
 
     eye = correlation(np.abs(point))
     expected = correlation(np.abs(point[:, None] - point)) + 1.0 - eye[:, None] - eye
     expected /= distance[0][:, None] * distance[0]
     np.testing.assert_allclose(errors.factor[0] @ errors.factor[0].T, expected, atol=1e-11)
-    assert correlation(REACH_M) == pytest.approx(np.exp(-1.0))
+    assert correlation(ErrorModel().reach_m) == pytest.approx(np.exp(-1.0))
 
 
 def _converged(residual, errors, magnified=1.0, scale=1.0):
@@ -93,15 +93,15 @@ def test_terrain_past_the_edge_explains_what_stands_up_to_its_bound(off_deg, is_
         assert 10.0 * np.log(0.7) - 0.5 < gained < 0.0
 
 
-@pytest.mark.parametrize("magnified", [0.5, 1.0, 1.7])
-def test_the_magnification_pull_is_the_slope_of_the_cost(magnified):
+@pytest.mark.parametrize("assumed", [0.5, 1.0, 1.7])
+def test_the_log_scale_pull_is_the_slope_of_the_cost(assumed):
     errors, _, _ = _setting()
     residual = np.random.default_rng(5).normal(0.0, 0.003, (1, 40))
     residual[0, 5] = np.nan
     residual[0, 20] = np.radians(4.0)
-    scales = magnified * np.exp([-1e-4, 1e-4])
+    scales = assumed * np.exp([-1e-4, 1e-4])
     more, less = (_converged(residual, errors, scale).cost[0] for scale in scales)
-    pull = _converged(residual, errors, magnified).magnification_pull(np.nan_to_num(residual))
+    pull = _converged(residual, errors, assumed).log_scale_pull(np.nan_to_num(residual))
     assert pull[0] == pytest.approx((more - less) / 2e-4, rel=1e-4)
 
 
