@@ -20,7 +20,8 @@ def info(
     path: Annotated[
         list[str] | None,
         Argument(
-            metavar="[DEM...|STORE.h5]", help="The files of a DEM, a folder of them, or a store."
+            metavar="[DEM...|STORE.h5]",
+            help="The files of a DEM, a folder or zip of files, or a store.",
         ),
     ] = None,
     gl: Annotated[bool, Option("--gl", help="Show which OpenGL is used, and why.")] = False,

@@ -7,7 +7,7 @@ import typer
 from typer import Argument, Option
 
 from skyline.batch import entries_of
-from skyline.cli.options import AsJson
+from skyline.cli.options import DEM_ABOUT, AsJson
 from skyline.cli.photo_options import (
     CameraHeight,
     FieldOfView,
@@ -22,6 +22,7 @@ from skyline.cli.photo_options import (
 )
 from skyline.cli.terminal import Terminal
 from skyline.fetch.dem_tiles import SOURCES
+from skyline.location import NOTED_KM
 from skyline.tasks.locate import LocateTask, locate_photos
 
 
@@ -32,7 +33,8 @@ def locate(
         Argument(
             metavar="PHOTO...",
             help="Photos of one area, folders of them, sky masks, CSV traces or lists. Without "
-            "--near and --bounds, 10 km round the photos' own GPS positions are searched.",
+            f"--near and --bounds, {NOTED_KM:g} km round the photos' own GPS positions are "
+            "searched.",
         ),
     ],
     fov_deg: FieldOfView = None,
@@ -42,7 +44,7 @@ def locate(
         list[str] | None,
         Option(
             metavar="DEM",
-            help="Elevation file, or a folder of them; may be repeated.",
+            help=DEM_ABOUT,
             show_default="tiles are fetched",
         ),
     ] = None,

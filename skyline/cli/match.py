@@ -42,8 +42,8 @@ def match(
         Argument(
             metavar="PHOTO...",
             help="Photos, folders of them, sky masks (white = sky), CSV traces or lists. A trace "
-            "begins with '# width=W height=H' and has the columns column_px,row_px. Before all may "
-            "come more stores of the same DEM, which are searched as one.",
+            "begins with '# width=W height=H' and has the columns column_px,row_px. More stores of "
+            "the same DEM may be named before the photos; all stores are searched as one.",
         ),
     ],
     fov_deg: FieldOfView = None,

@@ -32,6 +32,8 @@ def output_option(about: str, metavar: str = "FILE", **shown: Any) -> Any:
 
 of_terrain = panel("Terrain and rendering")
 
+DEM_ABOUT = "An elevation file, or a folder or zip of files; may be repeated."
+
 StoreFile = Annotated[Path, Argument(metavar="STORE.h5", help="A store, as `build` writes it.")]
 AsJson = Annotated[bool, Option("--json", help="Print JSON.")]
 StoreDem = Annotated[
@@ -39,17 +41,18 @@ StoreDem = Annotated[
     Option(
         "--dem",
         metavar="DEM",
-        help="The store's DEM, if it has moved: a file or a folder of them; may be repeated.",
+        help="The store's DEM, if it has moved: a file, or a folder or zip of files; may be "
+        "repeated.",
         show_default="the files from which the store was built",
     ),
 ]
 Dem = Annotated[
     list[str],
-    Option("--dem", metavar="DEM", help="Elevation file, or a folder of them; may be repeated."),
+    Option("--dem", metavar="DEM", help=DEM_ABOUT),
 ]
 Dems = Annotated[
     list[str],
-    Argument(metavar="DEM...", help="Elevation files of one grid, or folders or zips of them."),
+    Argument(metavar="DEM...", help="Elevation files of one grid, or folders or zips of files."),
 ]
 Workers = Annotated[
     str | None,
@@ -67,7 +70,7 @@ SurfaceFiles = Annotated[
         "--surface",
         metavar="FILE",
         help="A surface or canopy model, which gives the heights of trees and houses: a file, or a "
-        "folder of them; may be repeated.",
+        "folder or zip of files; may be repeated.",
     ),
 ]
 RefractionK = Annotated[

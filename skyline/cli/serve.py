@@ -16,8 +16,8 @@ def serve(
         list[Path] | None,
         Argument(
             metavar="[PHOTO...]",
-            help="Photos that are open on the page at first. Before them may come more stores of "
-            "the same DEM, which are searched as one.",
+            help="Photos that are open on the page at first. More stores of the same DEM may be "
+            "named before them; all stores are searched as one.",
         ),
     ] = None,
     dem: StoreDem = None,

@@ -173,7 +173,7 @@ class SharedContext:
 
 @cache
 def process_context() -> SharedContext:
-    """Return what all renderers of this process share; its context is released at exit."""
+    """Return the context that all renderers of this process share; exit releases it."""
     shared = SharedContext()
 
     def release() -> None:
@@ -327,7 +327,7 @@ def compile_shaders(ctx: moderngl.Context, *names: str, defines: Mapping[str, st
 
 
 class Releasable(ABC):
-    """Base of objects with memory on the GPU, which context managers release."""
+    """Base of objects with memory on the GPU; leaving their ``with`` block releases it."""
 
     @abstractmethod
     def release(self) -> None:

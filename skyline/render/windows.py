@@ -198,10 +198,9 @@ class WindowTextures:
 def _stacked(ctx: moderngl.Context, trees: Sequence[_Tree], dtype: str) -> Trees:
     """Put two or four trees into one texture.
 
-    Of two trees each serves both headings of its axis. The first two are stacked and the next two
-    stand beside them, because a stack of four would be higher than a texture may be. A ray that
-    leaves its own tree may meet the next; a mark or a bound too many costs time and changes
-    nothing.
+    If there are two, each serves both headings of an axis. Four stand in two stacks side by side,
+    because one stack of four would be higher than a texture may be. A ray that leaves its own tree
+    may meet the next one: superfluous marks and bounds cost time, but change no skyline.
     """
     levels = [texels for tree in trees for texels, _ in tree]
     width = max(texels.shape[2] for texels in levels)
@@ -228,8 +227,8 @@ def _stacked(ctx: moderngl.Context, trees: Sequence[_Tree], dtype: str) -> Trees
 def _quadrant(heading: int, grows: bool) -> tuple[bool, bool]:
     """Return whether rays along a heading go north, and whether they go east.
 
-    Their slope in array order is positive where it ``grows``, else negative: columns a row for
-    headings 0 and 2, rows a column for 1 and 3.
+    Their slope in array order is positive if it ``grows``, else negative. It is in columns per row
+    for headings 0 and 2, and in rows per column for 1 and 3.
     """
     forward = heading in (1, 2)
     aside = grows == forward

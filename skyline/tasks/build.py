@@ -165,7 +165,7 @@ def render_planned(
 
 
 def advise_to_continue(store: Path, listener: Listener) -> None:
-    """Check a store's folder; after Ctrl-C the error says that a build with parts continues."""
+    """Check a store's path; after Ctrl-C, say that a build that has parts continues."""
     check_store_path(store.resolve())
     listener.keeps(
         "what was built is kept, and the same command continues from there",

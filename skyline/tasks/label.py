@@ -94,7 +94,7 @@ def _pose_of(
     viewer: Viewer,
     listener: Listener,
 ) -> Pose:
-    """Return the pose that is noted, else the one that fits; `InputError` for an unsure one."""
+    """Return the noted pose, else the one that fits; raises `InputError` if that is not sure."""
     if noted is not None:
         return shown_pose(noted, viewer, listener)
     with listener.slow("orienting the camera"), orienters(viewer.terrain) as orienter_at:

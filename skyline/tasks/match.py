@@ -1,6 +1,6 @@
-"""Matching photos: each result is shown as soon as it is there, and files are written of all.
+"""Matching photos: results are shown as they come, and files are written of all of them.
 
-A search that is stopped goes on where it has a file of results.
+A search that was stopped goes on if it has a file of results.
 """
 
 import hashlib
@@ -175,7 +175,7 @@ def match_photos(task: MatchTask, listener: Listener) -> int:
 class _Run:
     """One run of a task.
 
-    ``exit_code`` is that of the last error.
+    ``exit_code`` belongs to the last error; it is 0 if there was none.
     """
 
     def __init__(self, task: MatchTask, listener: Listener, file: ResultsFile | None) -> None:
@@ -220,8 +220,8 @@ class _Run:
     def _matched_before(self) -> dict[Entry, str | None]:
         """Return the photos that need not be matched, with their errors; note how many.
 
-        These are the photos of which the file of results has rows. There are none if other files
-        are written, which need more than the rows have.
+        The file of results has rows of these photos. Where other files are written too, no photo
+        counts as known, since those files need more than the rows have.
         """
         file = self._file
         if file is None:
@@ -351,7 +351,7 @@ class _Run:
         self._show(names | {"error": str(error)}, "")
 
     def _show(self, record: Mapping[str, object], text: str) -> None:
-        """Show a result. Without a reader the work goes on only for the sake of files."""
+        """Show a result; if nobody reads it, go on only where files are written."""
         try:
             self._listener.result(record, text)
         except BrokenPipeError:
@@ -389,7 +389,10 @@ def _photo_of(entry: Entry) -> str:
 
 
 def _written(path: str | Path) -> tuple[object, ...]:
-    """Return a file's size and modification time, since files may move; of ``-`` a digest."""
+    """Return a file's size and modification time, or a digest of standard input.
+
+    The path is left out, since files may move.
+    """
     if str(path) == STANDARD:
         return (_digest(read_bytes(path, "expected a photo, a mask or a trace")),)
     return (version_of(path) or ())[:2]

@@ -130,7 +130,7 @@ def absolute_name(path: str | Path) -> str:
         named = (str(Path(p).absolute()) if p and is_file(p) else p for p in parts)
         return for_gdal("".join(named))
     is_pattern = bool(set("*?[") & set(text))
-    remedy = "name its folder, or the files" if is_pattern else "check the path of the DEM"
+    remedy = "name its folder, or the files" if is_pattern else "check its path"
     raise MissingFileError(f"there is no file {text}; {remedy}")
 
 
