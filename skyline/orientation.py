@@ -26,8 +26,9 @@ from skyline.arrays import Float64Array
 from skyline.errors import InputError, printable
 from skyline.geodesy.degrees import in_turn
 from skyline.geodesy.earth import Curvature
-from skyline.match import confidence, projections
+from skyline.match import confidence
 from skyline.match.config import MatchConfig
+from skyline.match.other_projection import find_other_projection
 from skyline.match.prior import (
     EyeHeightPrior,
     KnownGround,
@@ -406,7 +407,7 @@ class Orienter(Releasable):
         pose = replace(poses[:1].on_map(self.frame)[0], rank=None)
         above_m = float(self._eye_heights_m(poses[:1])[0])
         standing = Standing(EyeHeightPrior(above_m, self._scene.height_sd_m))
-        other = projections.other_projection(
+        other = find_other_projection(
             rays,
             Poses.of(pose),
             sure,

@@ -3,7 +3,7 @@
 Made photos see the elevation model with errors of 10 m rms added, and the given place is 50 m
 beside the true one: models and phones are off by as much. Unmarked panoramas and fisheyes are given
 as perspective photos, at their places. Strangers are photos of other terrain, with any place
-given. `skyline_bench.heights` makes photos that note heights.
+given. `skyline_bench.noted_heights` makes photos that note heights.
 """
 
 import math
@@ -30,8 +30,8 @@ from skyline.terrain.heightfield import HeightField
 from skyline.terrain.provenance import DemOptions
 from skyline.terrain.viewpoints import at_elevation
 from skyline_bench import options
-from skyline_bench.heights import BESIDE_M, HEIGHTS, MEASURED, beside_m, height_rows
 from skyline_bench.measuring import Row, square_km
+from skyline_bench.noted_heights import BESIDE_M, HEIGHTS, MEASURED, beside_m, height_rows
 from skyline_bench.queries.kinds import STRANGERS, UNMARKED, make_kind, perturbed
 from skyline_bench.queries.made_photos import Scenery, distance_along, photograph
 from skyline_bench.queries.manifest import EXTRACT, LOCATE, Photograph, read_manifest

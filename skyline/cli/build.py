@@ -25,7 +25,7 @@ from skyline.survey.build import BuildResult, build_store
 from skyline.survey.cluster import runner_of
 from skyline.survey.losses import expected_finds
 from skyline.survey.plans import PlacePlan
-from skyline.tasks.build import advise_to_continue, build_bar
+from skyline.tasks.render import advise_to_continue, build_bar
 
 
 def build(

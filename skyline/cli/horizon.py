@@ -23,7 +23,7 @@ from skyline.files import STANDARD, check_outputs
 from skyline.geodesy.earth import DEFAULT_REFRACTION_K, Curvature
 from skyline.horizons import DEFAULT_STEP_DEG, horizons_of, steps_a_turn
 from skyline.report.horizon_files import KINDS, horizon_csv, write_horizons
-from skyline.tasks.views import stand_with_notes, warn_of_border
+from skyline.tasks.standing import stand_with_notes, warn_of_border
 from skyline.terrain.surface_model import read_surface
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, read_viewpoints
 

@@ -26,7 +26,7 @@ from skyline.paper.strategies import PLANNERS
 from skyline.paper.verify import Verification
 from skyline.plugins import names_of
 from skyline.render.horizon import RenderConfig
-from skyline.tasks.build import RenderTask, render_planned, render_store
+from skyline.tasks.render import RenderTask, render_planned, render_store
 
 _RENDERED = RenderConfig()
 _PLANNED = PlanConfig()

@@ -9,7 +9,7 @@ from skyline.cli.options import Crs, Dems, EyeHeight, SummitWithin, parse_positi
 from skyline.cli.terminal import Terminal
 from skyline.horizons import horizons_of
 from skyline.sun import day_of
-from skyline.tasks.views import stand_with_notes, warn_of_border
+from skyline.tasks.standing import stand_with_notes, warn_of_border
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M
 
 

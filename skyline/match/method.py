@@ -6,8 +6,8 @@ from typing import ClassVar, Self
 
 from skyline.arrays import BoolArray
 from skyline.errors import InputError
+from skyline.match.other_projection import OtherProjection
 from skyline.match.prior import Prior
-from skyline.match.projections import OtherProjection
 from skyline.match.rays import Rays
 from skyline.match.screen import ReportProgress, silent
 from skyline.pose import Pose, Poses

@@ -11,10 +11,10 @@ from threadpoolctl import ThreadpoolController
 
 from skyline.arrays import BoolArray
 from skyline.errors import InputError
-from skyline.match import confidence, projections
+from skyline.match import confidence
 from skyline.match.method import BY_RENDERING, SearchMethod
+from skyline.match.other_projection import OtherProjection, find_other_projection
 from skyline.match.prior import Narrowing, Prior
-from skyline.match.projections import OtherProjection
 from skyline.match.rays import Rays
 from skyline.match.refine import QUICK, WHOLE, Refinement
 from skyline.match.retrieval import Retriever
@@ -140,7 +140,7 @@ class FullMatcher(SearchMethod):
         scene = self._scene
         if scene is None or not best.refined:
             return None
-        return projections.other_projection(
+        return find_other_projection(
             rays,
             Poses.of(best),
             best.confidence_1km or 0.0,

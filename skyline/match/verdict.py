@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 
 from skyline.geodesy.degrees import distance_in_words
 from skyline.match.config import MatchConfig
-from skyline.match.projections import OtherProjection
+from skyline.match.other_projection import OtherProjection
 from skyline.match.rays import FOV_RANGE_DEG, Rays
 from skyline.match.solver import TEMPERATURE
 from skyline.photo.skyline import PhotoSkyline

@@ -15,8 +15,8 @@ from skyline.arrays import Int64Array
 from skyline.errors import InputError
 from skyline.geodesy.earth import Curvature
 from skyline.render.context import RenderThread, acquire_context
+from skyline.render.field_windows import GpuLimits
 from skyline.render.march import NEAR_ERROR_PX, ColumnRenderer
-from skyline.render.windows import GpuLimits
 from skyline.skylines import (
     DEFAULT_WIDTH,
     HEADINGS,

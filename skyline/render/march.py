@@ -18,7 +18,7 @@ from skyline.arrays import BoolArray, Float32Array, Float64Array, UInt8Array
 from skyline.errors import ContextError, InputError
 from skyline.geodesy.earth import Curvature
 from skyline.render.context import Renderer, compile_shaders
-from skyline.render.windows import SLOPE_BINS, GpuLimits, Window, WindowTextures
+from skyline.render.field_windows import SLOPE_BINS, GpuLimits, Window, WindowTextures
 from skyline.skylines import FLAG_NO_DATA, HEADINGS, Views, raised_to_dip, rotation
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints

@@ -118,7 +118,7 @@ STOPPED = {
     ),
     "render": Stopping(
         ("--spacing", 900, "--width", 64),
-        "skyline.tasks.build",
+        "skyline.tasks.render",
         JobSize(1024, 3),
         24,
         "24 of about 64 renderings",

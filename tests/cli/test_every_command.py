@@ -36,7 +36,7 @@ COMMANDS = {
     "build": (("{dem}", "--spacing", 900, "-o", "{out}.h5"), "build.read_terrain"),
     "render": (
         ("{dem}", "--spacing", 1500, "--width", 64, "-o", "{out}.h5"),
-        "tasks.build.read_dem",
+        "tasks.render.read_dem",
     ),
     "store check": (("{store}",), "store.check_store"),
     "store repair": (("{store}", "-o", "{out}.h5"), "store.repair_store"),

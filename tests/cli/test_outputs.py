@@ -11,10 +11,10 @@ POSED = "{photo} --pose {pose} --dem {dem}"
 FETCH = "--bounds 9,46,10,47"
 WRONG = {
     "build {dem} --spacing 900 -o new.tif": "build.read_terrain",
-    "render {dem} --spacing 1500 -o new.png": "tasks.build.read_dem",
-    "render {dem} --planner lpov -o new.json": "tasks.build.read_dem",
-    "render {dem} --planner lpov -o ok.h5 --map new.pdf": "tasks.build.read_dem",
-    "render {dem} --spacing 1500 -o ok.h5 --depth-images new.tif": "tasks.build.read_dem",
+    "render {dem} --spacing 1500 -o new.png": "tasks.render.read_dem",
+    "render {dem} --planner lpov -o new.json": "tasks.render.read_dem",
+    "render {dem} --planner lpov -o ok.h5 --map new.pdf": "tasks.render.read_dem",
+    "render {dem} --spacing 1500 -o ok.h5 --depth-images new.tif": "tasks.render.read_dem",
     "store merge {store} -o new.gpkg": "store._copied_in_words",
     "store repair {store} -o new.csv": "store._copied_in_words",
     "store export {store} -o new.geojson": "store.Terminal.line",

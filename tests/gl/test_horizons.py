@@ -5,8 +5,8 @@ import pytest
 from scenes import at_m, field_of
 
 from skyline.geodesy.earth import Curvature
+from skyline.render.field_windows import GpuLimits, Window
 from skyline.render.horizon import PanoramaRenderer
-from skyline.render.windows import GpuLimits, Window
 from skyline.skylines import FLAG_HOLE, FLAG_TRUNCATED, quadrant_azimuths_rad
 from skyline.terrain.viewpoints import stand_on
 from skyline_bench.truth import oracle

@@ -8,7 +8,7 @@ from scenes import candidate_at
 
 from skyline.errors import InputError
 from skyline.match.config import MatchConfig
-from skyline.match.projections import OtherProjection
+from skyline.match.other_projection import OtherProjection
 from skyline.match.rays import Rays
 from skyline.match.verdict import Verdict, candidate_reached
 from skyline.photo.skyline import PhotoSkyline

@@ -108,7 +108,7 @@ class OtherProjection:
         )
 
 
-def other_projection(
+def find_other_projection(
     rays: Rays, pose: Poses, sure: float, refinement_of: Callable[[Rays], Refinement]
 ) -> OtherProjection | None:
     """Return the likeliest other projection of a photo.
