@@ -1,4 +1,4 @@
-"""Elevation tiles of an area from a server: their addresses, and the parts within bounds.
+"""Fetching elevation tiles from a server, cut to an area.
 
 A source has one address for each degree of latitude and longitude.
 """
@@ -51,7 +51,7 @@ SOURCES = {
 """The addresses of named sources: Copernicus GLO-30, a surface model of 1 arc-second, on AWS."""
 
 _TAG = "SKYLINE_FETCH"
-"""The tag of a file with its source and its bounds."""
+"""The GeoTIFF tag in which a file keeps its source and its bounds."""
 
 _log = logging.getLogger(__name__)
 
@@ -70,7 +70,7 @@ class FetchResult:
 
 @dataclass(frozen=True, slots=True)
 class _Cut:
-    """The part of one tile to read, and the file to write it to."""
+    """The part of a tile to read, and its file."""
 
     url: str
     path: Path
@@ -81,10 +81,10 @@ class _Cut:
 
 
 class _Failures:
-    """The tiles of a fetch that a server did not send, while it sent others."""
+    """The tiles of a fetch that the server failed to send."""
 
     def __init__(self, wanted: int) -> None:
-        """Begin with none of a wanted number of tiles."""
+        """Begin without failures, for a number of wanted tiles."""
         self._wanted = wanted
         self._errors: dict[str, FetchError] = {}
         self._may_be_down = False
@@ -94,10 +94,9 @@ class _Failures:
 
     @contextmanager
     def noting(self, name: str) -> Iterator[None]:
-        """Keep the error of a tile that is fetched in the block.
+        """Keep the error of the tile that is fetched in the block.
 
-        So other tiles are fetched too. Raises `FetchError` where the server does not answer, or
-        fails for two tiles in a row.
+        Raises `FetchError` where the server does not answer, or fails for two tiles in a row.
         """
         try:
             yield
@@ -113,10 +112,7 @@ class _Failures:
 
     @property
     def error(self) -> FetchError:
-        """One error for all tiles that failed.
-
-        It has the words of the first error, and five names at most.
-        """
+        """One error for all failed tiles, in the first one's words."""
         names = list(self._errors)
         first = next(iter(self._errors.values()))
         if self._wanted == 1:
@@ -136,23 +132,23 @@ def fetch_dem(
     earlier: Sequence[Path] = (),
     patience: Patience = PATIENT,
 ) -> FetchResult:
-    """Fetch the elevation tiles of an area, each cut to it, as GeoTIFFs.
+    """Fetch an area's elevation tiles, each cut to it, as GeoTIFFs.
 
-    A tile is written whole or not at all. A tile that is there from the same source, with the
-    bounds, is not fetched again, so that the same call continues a fetch that failed; a tile with
-    other bounds grows to the box around both.
+    A tile is written whole or not at all. A tile that the folder has, of the same source and
+    bounds, is not fetched again: the same call continues a fetch that failed. If it has other
+    bounds, it grows to the box around both.
 
-    ``source`` is a name of `SOURCES`, or an http or https address. In it ``{lat}``, ``{lon}`` stand
-    for the whole degrees, without sign, of a tile's south-west corner, ``{ns}``, ``{ew}`` for its
-    hemispheres (N or S, E or W); numbers take a width, as in ``{lat:02d}``. The folder is made if
-    it does not exist. Files are named after their tile: ``N46E009.tif``. A request that fails, or
-    has no answer in time, is repeated (``patience``). Samples of the same source are copied from
-    ``earlier``, the folders of earlier fetches.
+    ``source`` is a name in `SOURCES`, or an http or https address. In an address ``{lat}`` and
+    ``{lon}`` stand for the whole degrees, without sign, of a tile's south-west corner, ``{ns}`` and
+    ``{ew}`` for its hemispheres (N or S, E or W); numbers take a width, as in ``{lat:02d}``. The
+    folder is made if it does not exist. Files are named after their tile: ``N46E009.tif``. A
+    request that fails, or has no answer in time, is repeated (``patience``). Samples of
+    the same source are copied from ``earlier``, the folders of earlier fetches.
 
-    Raises `InputError` where the bounds or the source are not usable, the area is too large, there
-    is no tile, or a file is in the way or cannot be written, and `FetchError` where tiles could not
-    be fetched after the retries. The other tiles are fetched first, unless the server does not
-    answer, or fails for two tiles in a row.
+    Raises `InputError` where the bounds or the source are not usable, the area is too large or has
+    no tile, or a file is in the way or cannot be written. Raises `FetchError` where tiles could not
+    be fetched after the retries; the others are fetched first, unless the server does not answer or
+    fails for two tiles in a row.
     """
     template = SOURCES.get(source, source)
     _check_template(template)
@@ -164,7 +160,7 @@ def fetch_dem(
     missing: list[str] = []
     failures = _Failures(len(corners))
     for corner in corners:
-        # As SRTM names tiles.
+        # These are SRTM's names of tiles.
         name = address("{ns}{lat:02d}{ew}{lon:03d}", *corner)
         path = folder / f"{name}.tif"
         try:
@@ -203,7 +199,6 @@ def address(template: str, lat: int, lon: int) -> str:
 
 
 def _check_template(template: str) -> None:
-    """Raise `InputError` unless a template is an address of tiles."""
     try:
         fields = [part[1:] for part in Formatter().parse(template) if part[1] is not None]
         usable = {"lat", "lon"} <= {name for name, *_ in fields} <= {"lat", "lon", "ns", "ew"}
@@ -247,10 +242,7 @@ def tile_corners(bounds_deg: Bounds) -> list[tuple[int, int]]:
 def _cut_of(
     url: str, path: Path, corner: tuple[int, int], bounds_deg: Bounds, patience: Patience
 ) -> _Cut | None:
-    """Return the part of a remote tile to read.
-
-    The result is None where the file is there already.
-    """
+    """Return the part of a tile to read; None if held already."""
     source = without_secrets(url)
     if path.exists():
         held: dict[str, Any] = {}
@@ -310,10 +302,7 @@ def _check_usable(url: str, file: Any) -> None:
 
 
 def _window(url: str, file: Any, corner: tuple[int, int], bounds_deg: Bounds) -> Window:
-    """Return the pixels of a tile that meet the bounds.
-
-    Raises `InputError` for a file of another tile.
-    """
+    """Return a tile's pixels within bounds; `InputError` for another tile's file."""
     west, south, _, north = bounds_deg
     east = west + width_deg(bounds_deg)
     step_east = file.transform.a
@@ -350,13 +339,12 @@ def _window(url: str, file: Any, corner: tuple[int, int], bounds_deg: Bounds) ->
 
 
 def _fetch(cut: _Cut, earlier: Sequence[Path], patience: Patience) -> None:
-    """Read a cut and write its file whole or not at all."""
     left, top, width, height = cut.window.flatten()
     samples = np.empty((height, width), cut.dtype)
     known = np.zeros((height, width), bool)
 
     def read(file: Any) -> bytes:
-        """Return the file's content; rows of blocks stay when a connection fails."""
+        """Return the file's content; a repeated call continues where one failed."""
         for folder in (cut.path.parent, *earlier):
             _copy_held(folder / cut.path.name, cut, file.transform, samples, known)
         block_rows = int(file.block_shapes[0][0])
@@ -399,7 +387,6 @@ def _copy_held(
 
 
 def _geotiff(samples: NDArray[Any], cut: _Cut, origin: Any) -> bytes:
-    """Return a GeoTIFF of samples with their origin's place and units."""
     with rasterio.MemoryFile() as memory:
         with memory.open(
             driver="GTiff",
@@ -418,7 +405,7 @@ def _geotiff(samples: NDArray[Any], cut: _Cut, origin: Any) -> bytes:
             file.scales = origin.scales
             file.offsets = origin.offsets
             file.units = origin.units
-            # This tag holds whether samples stand for points or areas.
+            # This tag says whether samples stand for points or areas.
             kept = origin.tags().get("AREA_OR_POINT", "Area")
             file.update_tags(**{_TAG: cut.tag}, AREA_OR_POINT=kept)
         return bytes(memory.getbuffer())

@@ -25,8 +25,8 @@ def fetch_peaks(bounds_deg: Bounds, server: str, path: Path, patience: Patience 
     ``patience.retries`` times; the whole answer must arrive within ``patience.timeout_s`` seconds.
 
     Raises `InputError` where the path has no suffix of GeoJSON, the bounds are not in order, the
-    server is no http address, or the file cannot be written, and `FetchError` where the server
-    fails, is too slow, or its answer is not a list of peaks in the box.
+    server is no http address, or the file cannot be written. Raises `FetchError` where the server
+    fails, is too slow, or answers with anything but a list of peaks in the box.
     """
     if str(path) != STANDARD:
         suffix_of(path, GEOJSON)
@@ -87,10 +87,7 @@ def _ask(server: str, query: bytes, timeout_s: int) -> bytes:
 
 
 def _elements(server: str, answer: bytes) -> list[Any]:
-    """Return the elements of an answer.
-
-    Raises `FetchError` if the answer is not whole.
-    """
+    """Return an answer's elements; raises `FetchError` unless it is whole."""
     try:
         content = json.loads(answer)
         elements = [*content["elements"]]
@@ -112,10 +109,7 @@ def _elements(server: str, answer: bytes) -> list[Any]:
 def _feature(
     server: str, element: Any, lats: tuple[float, float], spans: list[tuple[float, float]]
 ) -> dict[str, object]:
-    """Return an element as a GeoJSON feature.
-
-    Raises `FetchError` where it is no named peak in the box.
-    """
+    """Return a GeoJSON feature; `FetchError` unless a named peak in the box."""
     try:
         lon = float(element["lon"])
         lat = float(element["lat"])

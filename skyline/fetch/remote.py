@@ -23,7 +23,7 @@ _T = TypeVar("_T")
 
 @dataclass(frozen=True, slots=True)
 class Patience:
-    """How long an answer may take, and how often a failed request is repeated."""
+    """How long requests wait, and how often they are repeated."""
 
     retries: int = 4
     """Greatest number of repetitions of a failed request."""
@@ -47,17 +47,17 @@ class RefusedError(FetchError):
 
 
 class SpoiledError(FetchError):
-    """The server answers, but fails to send a file whole, however often it is asked."""
+    """The server answers every request, but never sends the file whole."""
 
 
 @dataclass(eq=False)
 class RequestError(Exception):
-    """A failed request: the failure in words, and the next thing to try."""
+    """A failed request: what failed, and the next thing to try."""
 
     reason: str
     advice: str
     retries: int | None = None
-    """Number of repetitions that may help, None for all that are made."""
+    """Number of repetitions that may help; None for as many as are allowed."""
     kind: type[FetchError] = FetchError
     """The error of the last repetition."""
 

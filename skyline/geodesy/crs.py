@@ -20,7 +20,7 @@ def is_upright(crs: CRS) -> bool:
 
 
 def is_metric(crs: CRS) -> bool:
-    """Return whether a CRS can be a frame: projected, in metres and upright."""
+    """Return whether a CRS is projected, in metres and upright."""
     units = [axis.unit_conversion_factor for axis in crs.axis_info[:2]]
     metres = np.allclose(units, 1.0, rtol=0.0, atol=1e-9)
     return bool(crs.is_projected and metres and is_upright(crs))
@@ -58,7 +58,7 @@ def transformer(source: CRS, target: CRS) -> Transformer:
 
 
 def to_wgs84(crs: CRS, x: float, y: float) -> tuple[float, float, str]:
-    """Return a point's longitude and latitude (WGS 84), and their accuracy in words."""
+    """Return a point's WGS 84 longitude, latitude and accuracy in words."""
     transformation = transformer(crs, CRS.from_epsg(4326))
     lon, lat = transformation.transform(x, y)
     with suppress(ProjError):  # There may be only one operation.

@@ -15,7 +15,7 @@ Bounds = tuple[float, float, float, float]
 
 
 def check_bounds(bounds_deg: Bounds) -> Bounds:
-    """Return bounds as floats; raises `InputError` unless they are W,S,E,N with S < N."""
+    """Return bounds as floats; raises `InputError` unless W,S,E,N with S < N."""
     error = f"bounds are {bounds_deg!r}; expected four numbers W,S,E,N in degrees"
     west, south, east, north = bounds_deg = numbers_of(bounds_deg, 4, error)  # type: ignore[assignment]
     if not are_bounds(*bounds_deg):
@@ -31,8 +31,8 @@ def check_bounds(bounds_deg: Bounds) -> Bounds:
 def are_bounds(west: float, south: float, east: float, north: float) -> bool:
     """Return whether numbers can be the bounds of a box in degrees.
 
-    A box with W > E crosses the antimeridian, and is at most half a turn wide: W and E of a wider
-    one were swapped.
+    A box with W > E crosses the antimeridian. It is at most half a turn wide: in a wider one, W and
+    E were swapped.
     """
     return (
         -90.0 <= south < north <= 90.0
@@ -48,19 +48,19 @@ def are_degrees(lon: float, lat: float) -> bool:
 
 
 def width_deg(bounds_deg: Bounds) -> float:
-    """Return the width of a box in degrees of longitude; 360 all the way round."""
+    """Return a box's width in degrees of longitude, up to 360."""
     west, _, east, _ = bounds_deg
     return east - west if west <= east else east - west + 360.0
 
 
 def in_turn(angle_deg: ArrayLike, about_deg: float = 0.0) -> Float64Array:
-    """Return angles within half a turn of another angle, by default in [-180, 180)."""
+    """Return angles within half a turn of another, by default [-180, 180)."""
     least_deg = about_deg - 180.0
     return (np.asarray(angle_deg, dtype=np.float64) - least_deg) % 360.0 + least_deg
 
 
 def degrees_in_words(value: float, names: str, decimals: int = 5) -> str:
-    """Return a longitude (``names`` EW) or latitude (NS) in words, without a sign."""
+    """Return a longitude (``names`` EW) or latitude (NS) in words."""
     value = float(in_turn(value))
     return f"{abs(value):.{decimals}f}° {names[0] if value >= 0.0 else names[1]}"
 

@@ -41,7 +41,7 @@ class Curvature:
 
     @property
     def drop_per_m2(self) -> float:
-        """The drop over the square of the distance, (1 - k) / (2 R)."""
+        """The drop per squared distance, (1 - k) / (2 R)."""
         return (1.0 - self.refraction_k) / (2.0 * self.radius_m) if self.enabled else 0.0
 
     def drop_m(self, distance_m: ArrayLike) -> Float64Array:

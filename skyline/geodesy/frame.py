@@ -36,7 +36,7 @@ _WGS84 = Geod(ellps="WGS84")
 
 @dataclass(frozen=True)
 class Frame:
-    """A metric map frame: the DEM's own CRS, or a local conformal one."""
+    """A metric map frame: the DEM's own CRS or a local one."""
 
     wkt: str
     """The CRS as well-known text."""
@@ -58,7 +58,7 @@ class Frame:
 
     @classmethod
     def local(cls, *, lon: float, lat: float) -> "Frame":
-        """Return the transverse Mercator frame on WGS 84 through a point; it is conformal."""
+        """Return the conformal transverse Mercator frame (WGS 84) through a point."""
         definition = CRS.from_proj4(
             f"+proj=tmerc +lat_0={lat:.9f} +lon_0={lon:.9f} +k=1 +x_0=0 +y_0=0 "
             "+ellps=WGS84 +datum=WGS84 +units=m +no_defs"
@@ -68,7 +68,7 @@ class Frame:
 
     @property
     def is_local(self) -> bool:
-        """Whether the frame is one of `Frame.local`, the best there is for an area."""
+        """Whether `Frame.local` made the frame: the best one for an area."""
         return str(self.crs.name).startswith(_LOCAL)
 
     @cached_property
@@ -148,11 +148,10 @@ class Frame:
         return np.asarray(np.degrees(np.maximum(level, upright)))
 
     def untrue_deg(self, rectangle_m: Rectangle) -> float:
-        """Return the greatest error of an angle in a rectangle, or 0.
+        """Return an angle's greatest error in a rectangle; 0 if acceptable.
 
-        The result is 0 where the frame may be used. A frame may be used where its error is at most
-        `TRUE_DEG`, or no greater than the error of a local frame, as over areas that are too wide
-        for any map.
+        It is acceptable up to `TRUE_DEG`, or up to the error of a local frame, which is greater
+        over areas too wide for any map.
         """
         if self.is_local:
             return 0.0
@@ -172,20 +171,17 @@ class Frame:
         return float(np.nanmax(np.append(error_deg, 0.0)))
 
     def scale(self, *, easting_m: ArrayLike, northing_m: ArrayLike) -> Float64Array:
-        """Return map metres per metre of ground, by position.
-
-        The scale is a mean over directions.
-        """
+        """Return map metres per metre of ground, averaged over directions."""
         to_east, to_north = self._steps(easting_m, northing_m)
         return np.sqrt(np.abs((to_east.conj() * to_north).imag))
 
     def _steps(
         self, easting_m: ArrayLike, northing_m: ArrayLike
     ) -> tuple[Complex128Array, Complex128Array]:
-        """Return the map steps, easting + i northing, of a metre of ground east and north.
+        """Return the map steps of a metre of ground east and north.
 
-        They are differences of positions on WGS 84, and hold for any datum, prime meridian and
-        axes.
+        They are easting + i northing, from differences of positions on WGS 84, and hold for any
+        datum, prime meridian and axes.
         """
         lon, lat = self.to_lonlat(easting_m, northing_m)
         # Half of the differences from which a projection's derivatives are computed, 11 m.

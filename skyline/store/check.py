@@ -30,7 +30,6 @@ class Damage:
     """A difference between a store and the bytes that were written."""
 
     what: str
-    """The damage in one line."""
     first_row: int = 0
     """The first row that is unreadable or wrong."""
     rows: int = 0
@@ -62,7 +61,7 @@ def check_store(
     limit_s: float | None = None,
     examiner: Sequence[str] = _EXAMINER,
 ) -> StoreReport:
-    """Read all of a store in another process and return what is damaged.
+    """Read a whole store in another process, and return its damage.
 
     Parameters
     ----------
@@ -126,7 +125,7 @@ def examine(path: Path) -> StoreReport:
 
 
 def whole_rows(store: Store) -> Iterator[tuple[Columns, Damage | None]]:
-    """Yield the stored rows that have their checksums, and the damage, block by block.
+    """Yield each block's rows that have their checksums, and the damage.
 
     A block with a chunk that cannot be read is taken apart, and its other chunks are still read.
     """
@@ -145,12 +144,12 @@ def whole_rows(store: Store) -> Iterator[tuple[Columns, Damage | None]]:
 
 
 def is_whole(store: Store) -> bool:
-    """Return whether all rows of a store can be read and have their checksums."""
+    """Return whether all rows can be read and have their checksums."""
     return all(damage is None for _, damage in whole_rows(store))
 
 
 def _whole_rows_of(store: Store, start: int, stop: int) -> tuple[Columns, Damage | None]:
-    """Return those of some rows that have their checksums, and the damage."""
+    """Return the rows that have their checksums, and the others' damage."""
     columns = store.stored(slice(start, stop))
     same = row_checksums(columns) == columns[store.header.checksum]
     if same.all():
@@ -162,7 +161,7 @@ def _whole_rows_of(store: Store, start: int, stop: int) -> tuple[Columns, Damage
 
 
 def _merged(found: list[Damage]) -> tuple[Damage, ...]:
-    """Return damage with the same damage of successive chunks as one."""
+    """Join equal damage of successive chunks."""
     merged: list[Damage] = []
     for damage in found:
         last = merged[-1] if merged else None

@@ -46,8 +46,8 @@ PLACES = "places"
 """Kind of rows: places."""
 
 BEGUN = "begun"
-"""Kind of rows of a part of an unfinished plan: places, each with the shares of views that spacings
-lose round it, from which the plan continues."""
+"""Kind of rows: places of an unfinished plan. Each also has the shares of views that are lost
+around it at each spacing, so that the plan can continue."""
 
 MADE_BY = {RENDERINGS: "`skyline render`", PLACES: "`skyline build`"}
 """The command that makes a store, by kind."""
@@ -56,26 +56,26 @@ EYE = ("easting_m", "northing_m", "eye_elevation_m")
 """The fields that locate the eye of a row of either kind."""
 
 _PLACES_A_CHUNK = 1024
-"""Places of a chunk, some 0.7 MB, which are mapped and worked on at a time."""
+"""Number of places in a chunk, some 0.7 MB: a search works on one chunk at a time."""
 
 _VIEWS_A_CHUNK = 32
-"""Views of a chunk, 80 kB of skylines at W = 640. With half as many a store is 3 % larger, with
-four times as many 1 % smaller, but to read a single row a whole chunk is unpacked."""
+"""Number of views in a chunk, 80 kB of skylines at W = 640. Half as many make a store 3 % larger.
+Four times as many make it 1 % smaller, but HDF5 unpacks a whole chunk to read one row."""
 
 ROWS_AT_ONCE = 1024
-"""Rows that are read or written at once, whole chunks: a packed chunk that is written twice leaves
-dead bytes."""
+"""Number of rows that are read or written at once. They fill whole chunks: a packed chunk that is
+written twice leaves dead bytes in the file."""
 
 _PACKING = {"shuffle": True, "compression": "gzip", "compression_opts": 1}
-"""Packing of renderings: a skyline of W = 640 with its depths takes 2.7 kB instead of 5.1 on Davos.
-Level 4 saves 2 % and takes twice as long to read. Places would hardly pack, and their plain chunks
-can be mapped."""
+"""Packing of renderings. On Davos it shrinks a skyline of W = 640 with its depths from 5.1 kB to
+2.7 kB; level 4 saves 2 % more, but takes twice as long to read. Places hardly shrink, so their
+chunks stay plain and can be mapped."""
 
 KEYPOINTS = "features/keypoint_column"
-"""The dataset of keypoints, of a store of renderings."""
+"""The dataset of keypoints in a store of renderings."""
 
 LOST = "places/lost"
-"""The dataset of lost shares, of a part of an unfinished plan."""
+"""The dataset of lost shares in a store of `BEGUN` rows."""
 
 KeypointColumns = NDArray[np.uint16]
 
@@ -134,7 +134,7 @@ class StoreHeader:
     renderer : str
         Name of the renderer and of the OpenGL under it; empty before anything is rendered.
     width : int
-        Columns W of a view, or spacings of an unfinished plan; 0 in a store of places.
+        Number W of columns of a view, or of spacings in a `BEGUN` row; 0 in a store of places.
     holds : str
         "renderings", "places" or "begun".
     package_version : str
@@ -158,14 +158,14 @@ class StoreHeader:
     def __post_init__(self) -> None:
         if self.holds == RENDERINGS:
             check_width(self.width)
-        # The config is kept as JSON will give it back, so that stored and requested ones compare
-        # equal.
+        # JSON turns tuples into lists. The config is kept as JSON returns it, so that a requested
+        # config equals a stored one.
         plain = json.loads(json.dumps(dict(self.config), allow_nan=False))
         if "dem_options" in plain:
-            # Options that earlier releases wrote and this one lacks distinguish no stores.
+            # Stores do not differ by options that only earlier releases have.
             plain["dem_options"] = asdict(DemOptions.from_json(plain["dem_options"]))
         for name in ("tolerance_px", "tolerance_deg"):
-            # Earlier releases could render less exactly; what they rendered exactly is as today.
+            # Earlier releases could render with a tolerance; at 0 they rendered as this one does.
             if plain.get(name) == 0.0:
                 del plain[name]
         object.__setattr__(self, "config", plain)
@@ -198,11 +198,11 @@ class StoreHeader:
         }
 
     def chunk_rows(self, rows: int) -> int:
-        """Return the rows in a chunk, in a store of ``rows`` rows."""
+        """Return the number of rows in a chunk, for ``rows`` in all."""
         return max(1, min(rows, _VIEWS_A_CHUNK if self.holds == RENDERINGS else _PLACES_A_CHUNK))
 
     def layout(self, name: str, rows: int) -> dict[str, Any]:
-        """Return the settings, as h5py names them, of a dataset of ``rows`` rows."""
+        """Return h5py's settings for a dataset of ``rows`` rows."""
         row = self.specs[name]
         return {
             "shape": (rows, *row.shape),
@@ -214,7 +214,7 @@ class StoreHeader:
 
     @property
     def boxes_deg(self) -> list[Bounds] | None:
-        """The built boxes, W, S, E, N in degrees; None for all of the DEM."""
+        """The built boxes in degrees; None for the whole DEM."""
         bounds: Any = self.config.get("bounds_deg")
         if not bounds:
             return None
@@ -222,19 +222,19 @@ class StoreHeader:
 
     @property
     def anywhere(self) -> "StoreHeader":
-        """The header without its boxes: stores that agree in it can be joined."""
+        """The header without its boxes: joinable stores agree in it."""
         config = {key: value for key, value in self.config.items() if key != "bounds_deg"}
         return replace(self, config=config)
 
     def covers(self, other: "StoreHeader") -> bool:
-        """Return whether this store has the boxes of another one."""
+        """Return whether this store has all boxes of another one."""
         held = self.boxes_deg
         wanted = other.boxes_deg
         return held is None or (wanted is not None and set(wanted) <= set(held))
 
     @property
     def attributes(self) -> dict[str, str]:
-        """The file's attributes beside its schema, version and digest."""
+        """The file's attributes, except its schema, version and digest."""
         layout = PLACE_CODING if self.holds == PLACES else {"width": self.width}
         return {
             "frame": self.frame_wkt,
@@ -247,14 +247,14 @@ class StoreHeader:
         }
 
     def read_dem(self, dem: Dem | None = None) -> HeightField:
-        """Read the DEM from which the store was built, with the same options.
+        """Read the store's DEM, with the options of its build.
 
-        ``dem`` is that DEM, or its files, if they have moved.
+        ``dem`` gives the DEM, or its files, where they are no longer at `dem_files`.
 
         Raises
         ------
         StoreMismatchError
-            The files are those of another DEM.
+            The files hold another DEM.
         MissingFileError
             The files do not exist.
         """
@@ -317,7 +317,6 @@ def refuse_mismatch(
 
 
 def _model(header: StoreHeader) -> str:
-    """Return a line with a store's DEM, its frame and its digest."""
     names = [Path(file).name for file in header.dem_files] or ["no file"]
     more = f" and {len(names) - 1} more" if len(names) > 1 else ""
     frame = Frame(header.frame_wkt).name
@@ -340,9 +339,10 @@ def columns_of(
 
 
 def row_checksums(columns: Columns) -> NDArray[np.uint32]:
-    """Return CRC-32s, (N,), over each row's little-endian bytes, datasets in order of name.
+    """Return the CRC-32 (N,) of each row's little-endian bytes.
 
-    Columns are (N, ...) stored rows by dataset, N at least 1; a column of checksums is skipped.
+    Columns are (N, ...) stored rows by dataset, N at least 1. Datasets are taken in order of name;
+    a column of checksums is skipped.
     """
     names = [name for name in sorted(columns) if not name.endswith("/checksum")]
     plain = [np.ascontiguousarray(columns[name]) for name in names]
@@ -393,7 +393,7 @@ def write_header(file: h5py.File, header: StoreHeader) -> None:
 
 
 def read_header(path: Path, file: h5py.File) -> StoreHeader:
-    """Return the header of a store; raises `StoreError` where it is damaged or foreign."""
+    """Return a store's header; raises `StoreError` where damaged or foreign."""
     foreign = StoreError(
         f"{path} is an HDF5 file but not a skyline store; "
         "name one made by `skyline build` or `skyline render`"
@@ -435,13 +435,13 @@ def read_header(path: Path, file: h5py.File) -> StoreHeader:
 
 
 def _attribute(path: Path, file: h5py.File, name: str) -> object:
-    """Return an attribute of one value; None for a variable length.
+    """Return an attribute's value; None if its length is variable.
 
-    HDF5 keeps values of variable lengths in a heap without a checksum, and may loop in a damaged
-    one.
+    HDF5 keeps values of variable length in a heap without a checksum. If the heap is damaged, HDF5
+    may loop.
     """
     if file.attrs.get_id(name).shape != ():
-        raise StoreError(f"store {path} has no single attribute {name!r}; {REBUILD}")
+        raise StoreError(f"store {path} has several values in attribute {name!r}; {REBUILD}")
     kind = file.attrs.get_id(name).get_type()
     plain = isinstance(kind, h5py.h5t.TypeIntegerID) or (
         isinstance(kind, h5py.h5t.TypeStringID) and not kind.is_variable_str()

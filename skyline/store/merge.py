@@ -1,10 +1,10 @@
 """Making a store from others: merged, joined while they are read, or repaired.
 
 Rows of a merged store are sorted by easting, northing, eye elevation and heading, and equal ones
-are kept once. So its bytes depend on the set of rows alone, and neither on the order of the parts
-nor on how they were cut. Stores of several boxes of one DEM may overlap. The lattices on which
-places are planned are nested, so the denser plan has all places of the other. Where both plans
-have a place, the row of the denser plan is kept: it represents less ground.
+are kept once. So its bytes depend only on the set of rows, not on the order of the parts or on how
+they were cut. Stores of several boxes of one DEM may overlap. Places are planned on nested
+lattices, so the denser of two plans has all places of the other. Where both plans have a place, the
+row of the denser plan is kept: it represents less ground.
 """
 
 import os
@@ -53,7 +53,7 @@ def merge_stores(
 
 
 def repair_store(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> StoreReport:
-    """Write the undamaged rows of a store into a new one, in their order.
+    """Write a store's undamaged rows into a new one, in order.
 
     A chunk that HDF5 cannot read, of 1,024 places or 32 renderings, is left out as a whole. Raises
     `StoreError` where nothing can be saved, or the new store cannot be written or exists.
@@ -72,7 +72,7 @@ def repair_store(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> S
 def merged_rows(
     paths: Sequence[str | os.PathLike[str]], folder: Path
 ) -> Iterator[tuple[StoreHeader, Columns, IntArray]]:
-    """Yield the header, the rows and the order of the store that stores are merged into.
+    """Yield the header of a merged store, its rows and their order.
 
     The rows wait in a nameless file in ``folder``, unpacked. Raises as `merge_stores`.
     """
@@ -100,7 +100,7 @@ def merged_rows(
 
 
 def _merged_header(headers: Sequence[StoreHeader]) -> StoreHeader:
-    """Return the header of stores that differ in their boxes, whatever their order."""
+    """Return the joint header of stores, whatever their order."""
     config = dict(headers[0].config)
     if "bounds_deg" in config:
         config["bounds_deg"] = _joint_boxes([header.boxes_deg for header in headers])
@@ -115,7 +115,7 @@ def _merged_header(headers: Sequence[StoreHeader]) -> StoreHeader:
 
 
 def _joint_boxes(boxes_deg: Sequence[list[Bounds] | None]) -> Bounds | list[Bounds] | None:
-    """Return the boxes of several stores; None where one of them has all of the DEM."""
+    """Return stores' boxes; None where one has all of the DEM."""
     joint: set[Bounds] = set()
     for boxes in boxes_deg:
         if boxes is None:
@@ -126,7 +126,7 @@ def _joint_boxes(boxes_deg: Sequence[list[Bounds] | None]) -> Bounds | list[Boun
 
 @contextmanager
 def open_joined(paths: Sequence[str | os.PathLike[str]]) -> Iterator[Store]:
-    """Open a store, or several as the store into which `merge_stores` merges them.
+    """Open a store, or several as the store that `merge_stores` writes.
 
     Several are merged into a temporary file, which disappears once its reader is closed. Raises as
     `open_store` and `merge_stores`.
@@ -143,7 +143,7 @@ def open_joined(paths: Sequence[str | os.PathLike[str]]) -> Iterator[Store]:
 
 
 def sorted_once(header: StoreHeader, columns: Columns) -> IntArray:
-    """Return the rows to write, each once, in order of location and heading."""
+    """Return the rows, each once, in order of location and heading."""
     keys = [np.asarray(columns[name]) for name in header.sorted_by]
     # Of places with equal keys the one with the smallest tolerance is kept.
     ties = [columns[name] for field, name in header.fields.items() if field == "tolerance_m"]
@@ -162,10 +162,10 @@ def _gathered(
     folder: Path,
     damage: list[Damage] | None = None,
 ) -> Iterator[Columns]:
-    """Yield all rows of stores, with the number that each has, unpacked in a file.
+    """Yield all rows of stores (path, length), unpacked in a file.
 
     Damaged rows are left out and appended to ``damage``; without such a list they raise
-    `StoreError`. To read rows from the stores in order of location would unpack each chunk many
+    `StoreError`. Reading rows from the stores in order of location would unpack each chunk many
     times.
     """
     record = np.dtype(list(header.specs.items()))
@@ -198,7 +198,7 @@ def _gathered(
 
 
 def _new_store(out: str | os.PathLike[str]) -> Path:
-    """Return the path of a store that is to be written and must not be there yet."""
+    """Return the path of a new store; refuses one that exists."""
     out = Path(out).resolve()
     check_store_path(out)
     if out.exists():

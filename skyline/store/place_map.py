@@ -1,4 +1,4 @@
-"""A map of a store's places in its file."""
+"""Reading places from a store's file that is mapped into memory."""
 
 import mmap
 from collections.abc import Iterator
@@ -30,7 +30,7 @@ class PlaceMap:
     """
 
     def __init__(self, path: Path, file: int, header: StoreHeader, places: int, at: Offsets):
-        """Map the places of a file descriptor, whose chunks lie ``at`` offsets."""
+        """Map places in a file descriptor; their chunks begin ``at`` offsets."""
         self._path = path
         self._header = header
         self._places = places
@@ -58,7 +58,7 @@ class PlaceMap:
         return self._places
 
     def blocks(self) -> Iterator[Places]:
-        """Yield all places in order, 1024 at a time (the last time fewer).
+        """Yield all places in order, at most 1024 at a time.
 
         The arrays are read-only and lie in the file: it is read when an array is, and no checksum
         is compared (`take` does that, and `check_store` for the whole store).

@@ -94,7 +94,7 @@ _WAVES = np.concatenate([[0.0], np.exp(1j * _PHASE)]).astype(np.complex64)
 
 
 def encode_rises(elevation_tan: Float32Array) -> tuple[Float32Array, Int8Array]:
-    """Return the first tangents (N,) and the rises (N, B) of skylines (N, B).
+    """Return skylines' (N, B) first tangents (N,) and rises (N, B).
 
     The first bin's byte is 0; where it has no skyline, the rises begin from 0.
     """
@@ -114,7 +114,7 @@ def encode_rises(elevation_tan: Float32Array) -> tuple[Float32Array, Int8Array]:
 
 
 def decode_rises(first: Float32Array, codes: Int8Array) -> Float32Array:
-    """Return the tangents (N, B) float32; NaN where a bin has no skyline."""
+    """Return tangents (N, B) float32; NaN in bins without a skyline."""
     rises = looked_up(codes.view(np.uint8), RISES)
     rises[:, 0] += first
     y: Float32Array = np.cumsum(rises, axis=1, dtype=np.float32)
@@ -123,9 +123,10 @@ def decode_rises(first: Float32Array, codes: Int8Array) -> Float32Array:
 
 
 def encode_distance(distance_m: Float32Array) -> UInt8Array:
-    """Return codes (N, D) of the nearest of distances (N, B) in each bin.
+    """Return codes (N, D) of the nearest distance in each bin.
 
-    0 stands for no skyline. The nearest skyline moves most as the eye does.
+    Distances are (N, B); code 0 stands for no skyline. The nearest skyline moves most as the eye
+    does.
     """
     count, bins = distance_m.shape
     runs = distance_m.reshape(count, DISTANCE_BINS, bins // DISTANCE_BINS)
@@ -135,7 +136,7 @@ def encode_distance(distance_m: Float32Array) -> UInt8Array:
 
 
 def looked_up(codes: UInt8Array, table: NDArray[_Item]) -> NDArray[_Item]:
-    """Return ``table[codes]`` for a table (256,) of items of 4 or 8 bytes.
+    """Return ``table[codes]`` for a table (256,) of 4- or 8-byte items.
 
     OpenCV does this five times as fast as indexing does.
     """
@@ -163,7 +164,7 @@ def encode_phases(elevation_tan: Float32Array) -> UInt8Array:
 
 
 def decode_phases(codes: UInt8Array) -> Complex64Array:
-    """Return exp(i phase) (N, 180) complex64 of codes; 0 where the rise is unknown."""
+    """Return exp(i phase) (N, 180) complex64; 0 where the rise is unknown."""
     return looked_up(codes, _WAVES)
 
 
@@ -201,7 +202,7 @@ class Places(Rows):
 
     @classmethod
     def of(cls, horizons: Horizons, tolerance_m: float | Float32Array) -> "Places":
-        """Return the places of rendered skylines in 360 bins, each with its tolerance."""
+        """Return the places of skylines in 360 bins, with their tolerances."""
         first, rise = encode_rises(horizons.elevation_tan)
         return cls(
             horizons.easting_m,
@@ -216,7 +217,7 @@ class Places(Rows):
         )
 
     def elevation_tan(self) -> Float32Array:
-        """Return the tangents of the skylines' elevation angles (N, 360); NaN where unknown."""
+        """Return the skylines' elevation tangents (N, 360); NaN where unknown."""
         return decode_rises(self.first_tan, self.rise)
 
     def distance_m(self) -> Float32Array:

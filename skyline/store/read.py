@@ -1,7 +1,7 @@
 """Reading a store: its header and its rows.
 
-A file is a store if its header has the digest that was written with it, and if its datasets have
-the layout that follows from the header and keep no bytes in other files.
+A file is a store if its header has the digest that was written with it, its datasets have the
+layout that the header gives, and no dataset keeps bytes in another file.
 """
 
 import hashlib
@@ -58,7 +58,7 @@ class Store:
         """Open and check the store at a resolved path; raises as `open_store`."""
         self.path = path
         with ExitStack() as opened:
-            # HDF5 takes no lock on a file of Python's, which is written once and needs none.
+            # HDF5 takes no lock on a file that Python opened. A finished store needs none.
             self._raw = opened.enter_context(open_hdf5(path))
             with explained(path, "it cannot be opened"):
                 self._file = opened.enter_context(h5py.File(self._raw, "r"))
@@ -101,9 +101,9 @@ class Store:
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 over the DEM's digest, the settings and the checksums of all rows, hexadecimal.
+        """SHA-256 of the DEM's digest, the settings and all rows' checksums, hexadecimal.
 
-        Where the files lie, and which release or renderer made the rows, does not change it.
+        It does not depend on where the files lie, nor on the release or the renderer.
         """
         about = {name: self.header.attributes[name] for name in ("dem_digest", "config", "rows")}
         sha = hashlib.sha256(json.dumps(about, sort_keys=True).encode())
@@ -131,12 +131,12 @@ class Store:
         return Views(**fields)
 
     def stored(self, index: RowIndex = slice(None)) -> Columns:
-        """Read rows as they are stored, by the datasets' names; raises as `views`."""
+        """Read rows as stored, by dataset; raises as `views`."""
         rows = self._indexed(index)
         return {name: self._read(name, rows) for name in self.header.specs}
 
     def keypoint_columns(self, index: RowIndex = slice(None)) -> KeypointColumns:
-        """Read keypoints, (N, K) uint16, padded with 65535; as `views` otherwise."""
+        """Read keypoints (N, K) uint16, padded with 65535; otherwise as `views`."""
         self.expect(RENDERINGS)
         return self._read(KEYPOINTS, self._indexed(index))
 
@@ -178,12 +178,12 @@ class Store:
         Returns
         -------
         xarray.Dataset
-            ``elevation_deg`` and ``distance_m`` (horizontal), of a store of places by ``place``
-            and ``grid_azimuth_deg``, of one of renderings by ``view`` and ``column``, with their
-            ``flags``. The coordinate ``azimuth_deg``, of two dimensions, is from true north;
+            ``elevation_deg`` and ``distance_m`` (horizontal). Places have the dimensions ``place``
+            and ``grid_azimuth_deg``; renderings have ``view`` and ``column``, and also ``flags``.
+            The coordinate ``azimuth_deg`` has both dimensions and is from true north,
             ``grid_azimuth_deg`` is from grid north, and ``convergence_deg`` is a row's true azimuth
-            minus its grid azimuth. Also ``lon``, ``lat``, ``easting_m``,
-            ``northing_m``, ``eye_elevation_m`` of the eyes, and ``spatial_ref`` (CF), the frame.
+            minus its grid azimuth. The eyes have ``lon``, ``lat``, ``easting_m``, ``northing_m``
+            and ``eye_elevation_m``; ``spatial_ref`` (CF) is the frame.
 
         Raises
         ------
@@ -253,7 +253,7 @@ class Store:
             return np.asarray(dataset[ascending])[position]
 
     def _chunk_offsets(self, name: str, size: int) -> Int64Array:
-        """Return the offsets in the file of a dataset's chunks of ``size`` rows."""
+        """Return the file offsets of a dataset's chunks of ``size`` rows."""
         dataset = self._datasets[name]
         at = np.zeros(-(-len(self) // size), dtype=np.int64)
 
@@ -271,7 +271,7 @@ class Store:
         return at
 
     def _counted(self) -> int:
-        """Return the number of rows; raises `StoreError` where the file does not hold them."""
+        """Return the number of rows; raises `StoreError` where some are missing."""
         counts = {len(dataset) for dataset in self._datasets.values()}
         rows = max(counts)
         # Chunks are not counted: HDF5 would visit every chunk that a damaged index names.
@@ -291,7 +291,7 @@ class Store:
 
 
 def _hard_linked(path: Path, file: h5py.File, name: str) -> Any:
-    """Return an object of this very file; no other link is followed."""
+    """Return an object of this file; links to others are refused."""
     node = file
     for part in name.split("/"):
         link = node.get(part, getlink=True) if isinstance(node, h5py.Group) else None
@@ -336,13 +336,13 @@ def open_store(path: str | os.PathLike[str]) -> Store:
     MissingFileError
         The file does not exist, or its build has not finished.
     StoreError
-        The file is not a store, truncated or damaged, of another schema, or not readable.
+        The file is not a store, is truncated or damaged, has another schema, or cannot be read.
     """
     return Store(Path(path).resolve())
 
 
 def is_store(path: str | os.PathLike[str]) -> bool:
-    """Return whether a path names a store, even a damaged or an unfinished one."""
+    """Return whether a path names a store, even an unfinished one."""
     path = Path(path)
     if path.name and parts_folder(path).is_dir():  # The current folder has no name.
         return True
@@ -354,18 +354,15 @@ def is_store(path: str | os.PathLike[str]) -> bool:
 
 
 def parts_folder(path: Path) -> Path:
-    """Return the folder of a store's parts, with a subfolder for each build.
+    """Return the folder of a store's parts; each build has a subfolder.
 
-    The name of a part begins with what its store holds.
+    The name of a part begins with the kind of its rows.
     """
     return path.with_name(f"{path.name}.parts")
 
 
 def open_hdf5(path: Path) -> io.FileIO:
-    """Open an HDF5 file to read it.
-
-    Raises `MissingFileError` or `StoreError` if there is none.
-    """
+    """Open an HDF5 file to read it; raises `MissingFileError` or `StoreError`."""
     try:
         raw = io.FileIO(path)
     except FileNotFoundError as error:

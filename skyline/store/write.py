@@ -127,7 +127,7 @@ class _Target(io.FileIO):
             return size or 0
 
     def finish(self) -> None:
-        """Flush the bytes to the disk; raises the `OSError` of the first write that failed."""
+        """Flush the bytes to the disk; raises the first write's `OSError`."""
         if self._error is not None:
             raise self._error
         os.fsync(self.fileno())

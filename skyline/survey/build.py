@@ -1,13 +1,11 @@
 """Building a store, in parts that are merged at the end.
 
-A plan cuts the work into jobs, the same ones whenever it runs. Every few seconds, what was rendered
-is written as a part: a store of its own in the folder ``STORE.parts``, in the subfolder of its
-build, which is one box, DEM and settings. A part has the rows of one job or of several in a row. A
-job that takes longer has begun parts: the rows that it has rendered so far, in its order, from
-which it continues. So a build that is killed loses the last few seconds, and the same command
-continues. Builds of other boxes leave each other's parts alone. Merging sorts the rows: the number
-of workers, the order and the number of the parts, and how often a build was killed change no byte
-of the store.
+A plan cuts the work into jobs, the same ones whenever it runs. Every few seconds the rendered rows
+are written as a part (`skyline.survey.parts`). So a build that is killed loses the last few
+seconds, and the same command continues. Parts lie in the folder ``STORE.parts``, where each build
+(one box, DEM and settings) has a subfolder of its own. Merging sorts the rows: the number of
+workers, the order and number of the parts, and how often a build was killed change no byte of the
+store.
 
 Every job is rendered over the whole DEM, since terrain can rise into a skyline from any distance.
 """
@@ -72,35 +70,35 @@ def build_places(
     places: int | None = None,
     curvature: Curvature | None = None,
 ) -> BuildResult:
-    """Build a store of places; the same call continues a build that was killed.
+    """Build a store of places; the same call continues a killed build.
 
     Parameters
     ----------
     terrain : path, paths or HeightField
         The elevation model.
     path : str or Path
-        The store. Nothing is done if it already exists with the same settings and bounds. One of
-        other bounds is replaced by a store of both areas.
+        The store. Nothing is done if it already exists with the same settings and bounds. A store
+        with other bounds is replaced by a store of both areas.
     spacing_m : float, optional
         Metres between the places of a uniform grid. By default places lie densely where skylines
         are near, and sparsely where they are far; see `skyline.survey.lattices`.
     bounds_deg : tuple, optional
         W, S, E, N in degrees; by default all of the terrain.
     progress : callable, optional
-        Called with the number of places that are there, at first those of an earlier call, and
-        about the number of all places.
+        Called with the number of places rendered so far, also by earlier calls, and about the
+        number of all places.
     places : int, optional
-        About how many places to plan if there is no spacing. By default 100,000; fewer if fewer
-        lose only 5 % of the views, which are 60 degrees wide, and more if 100,000 would lose over
-        20 %.
+        About how many places to plan if there is no spacing. By default 100,000; fewer if
+        these would lose under 5 % of the views, which are 60 degrees wide, and more if they would
+        lose over 20 %.
     curvature : Curvature, optional
         Defaults to the Earth's with k = 0.13.
 
     Raises
     ------
     InputError
-        The spacing suits no grid on the terrain, a number of places is given beside it, or no place
-        falls in so small an area.
+        The spacing suits no grid on the terrain, both a spacing and a number of places are given,
+        or the area is so small that no place falls in it.
     StoreMismatchError
         The store at ``path``, or a part of it, was built from another DEM or with other settings.
     """
@@ -116,7 +114,7 @@ def build_uniform(
     config: RenderConfig | None = None,
     progress: Progress | None = None,
 ) -> BuildResult:
-    """Build a store of the renderings of a uniform grid; otherwise as `build_places`."""
+    """Build a store of a uniform grid's renderings; otherwise as `build_places`."""
     plan = RenderingPlan.uniform(terrain, spacing_m, bounds_deg, config or RenderConfig())
     return build_store(terrain, path, plan, progress=progress)
 
@@ -195,7 +193,7 @@ def build_store(
 
 
 def _folder_of(path: Path, header: StoreHeader, jobs: int) -> PartsFolder:
-    """Return the folder for the parts of a build: one box, DEM and settings."""
+    """Return the parts folder of a build: one box, DEM and settings."""
     # Parts may be continued by another release, on a DEM that has moved.
     build = replace(header, dem_files=(), package_version="")
     subfolder = parts_folder(path) / attributes_digest(build.attributes)[:12]
@@ -214,7 +212,7 @@ class _Count:
     """Counts the rows of a build, and reports them."""
 
     def __init__(self, progress: Progress | None, done: int, total: int) -> None:
-        """Begin with ``done`` rows; ``total`` is 0 until a plan expects some."""
+        """Begin with ``done`` rows; ``total`` is 0 while unknown."""
         self._progress = progress
         self._done = done
         self._total = total
@@ -227,7 +225,7 @@ class _Count:
         self._report(max(self._total, self._done + 1))
 
     def end(self) -> None:
-        """Report that all are there."""
+        """Report that all rows are rendered."""
         self._report(self._done)
 
     def _report(self, total: int) -> None:
@@ -251,8 +249,8 @@ def _merge_parts(parts: list[Path], path: Path) -> int:
     with merged_rows(merging, folder) as (header, columns, order):
         if len(columns[header.checksum]) == held:
             return 0
-        # A name of its own, since another build of this path may merge now. A build that is killed
-        # here leaves the file to `_remove`.
+        # Another build of this path may merge now, so the file has a name of its own. If this build
+        # is killed here, `_remove` deletes the file later.
         merged = folder / f".{uuid4().hex[:12]}.partial"
         write_store(merged, header, columns, order)
     if _inode(path) != before:
@@ -264,12 +262,12 @@ def _merge_parts(parts: list[Path], path: Path) -> int:
 
 
 def _inode(path: Path) -> int | None:
-    """Return a file's number, which changes when it is replaced; None without a file."""
+    """Return a file's number, which changes with its replacement, or None."""
     return path.stat().st_ino if path.exists() else None
 
 
 def finished_store(path: Path, header: StoreHeader) -> BuildResult | None:
-    """Return a finished build's result; None where the store has only other boxes.
+    """Return a finished build's result; None if the store lacks its boxes.
 
     Raises `StoreMismatchError` where other settings differ.
     """
@@ -284,10 +282,10 @@ def finished_store(path: Path, header: StoreHeader) -> BuildResult | None:
 
 
 def _whole_parts(folder: PartsFolder, header: StoreHeader) -> tuple[list[Path], int]:
-    """Return a build's whole parts, and the rows in all its parts.
+    """Return a build's whole parts, and the rows in all parts.
 
-    Raises `StoreMismatchError` where another build of the same store has parts of other settings,
-    which could not be joined.
+    Raises `StoreMismatchError` where another build of the same store has parts with other settings,
+    which could not be merged with these.
     """
     whole: list[Path] = []
     rows = 0
@@ -314,7 +312,7 @@ def _whole_parts(folder: PartsFolder, header: StoreHeader) -> tuple[list[Path], 
 
 
 def _opened_by_worker(plan: Plan, header: StoreHeader) -> JobRenderer:
-    """Read the DEM in a worker, and return the renderer of a plan's jobs.
+    """Return the renderer of a plan's jobs; a worker reads the DEM.
 
     The store's header has the DEM's files, by paths that are the same on every machine.
     """
@@ -349,9 +347,9 @@ def _on_workers(
     left: Mapping[int, Any],
     count: _Count,
 ) -> tuple[list[Path], int]:
-    """Write each job by a runner; return parts and rendered rows.
+    """Have a runner write each job; return parts and rendered rows.
 
-    Raises at the end, when all other jobs are done, as `_error_of`.
+    If jobs failed, raises the error of `_error_of` when all others are done.
     """
     if not header.dem_files:
         raise InputError("a DEM made in memory cannot be sent to workers; write it to a file first")
@@ -379,7 +377,7 @@ def _on_workers(
 
 
 def _error_of(failures: Mapping[str, SkylineError], jobs: int) -> SkylineError:
-    """Return the one error of all jobs, or a `BuildError` that names the first few."""
+    """Return all jobs' common error, or a `BuildError` that names five."""
     if len(failures) == jobs and len({str(error) for error in failures.values()}) == 1:
         return next(iter(failures.values()))
     named = [f"{name} ({error})" for name, error in failures.items()]

@@ -1,7 +1,7 @@
 """Independent jobs on a dask.distributed cluster (extra ``cluster``): processes or machines.
 
-Jobs are few and long. The cluster runs each of them on any worker, tries it again if the worker
-died or the job failed, and returns its result or its error.
+Jobs are few and long. The cluster runs each on any worker, and again if the worker dies or the job
+fails, and returns its result or its error.
 """
 
 import logging
@@ -25,7 +25,7 @@ _log = logging.getLogger(__name__)
 
 
 class Tool(Protocol):
-    """What the jobs of a run work with: a renderer or a matcher."""
+    """What a run's jobs work with: a renderer or a matcher."""
 
     def release(self) -> None:
         """Free its memory."""
@@ -86,7 +86,7 @@ class Runner:
     client: Any
     retries: int = 2
     """Further attempts at a job that raised an error. A job whose worker died is tried again on
-    another; after `distributed.scheduler.allowed-failures` deaths (3) it counts as their cause."""
+    another; after `distributed.scheduler.allowed-failures` deaths (3) dask blames the job."""
 
     def __call__(
         self,
@@ -98,11 +98,10 @@ class Runner:
     ) -> Iterator[R | SkylineError]:
         """Call ``work`` with the opened tool and each item.
 
-        The function, the opening and the items can be pickled. Yields results in the items' order,
-        each as soon as those before it are done. A job that failed at its last attempt yields its
-        error, as a `BuildError` unless it is a `SkylineError`. ``names`` are distinct names of the
-        items. Whatever a job calls its third argument with, ``listen`` is called with here, in this
-        thread.
+        The function, the opening and the items must be picklable, and the names distinct. Yields
+        results in the items' order, each as soon as those before it are done. A job that failed at
+        its last attempt yields its error, as a `BuildError` unless it is a `SkylineError`. What a
+        job passes to its third argument is passed on to ``listen``, in this thread.
 
         Raises `BuildError` if the scheduler is lost.
         """
@@ -137,7 +136,7 @@ class Runner:
 
 @contextmanager
 def runner_of(workers: str | None) -> Iterator[Runner | None]:
-    """Yield a `Runner` on new processes, or on the cluster at an address.
+    """Yield a `Runner` on new processes or an existing cluster.
 
     The runner is None if ``workers`` is None. What dask sends is pickled, both ways: connect only
     to a scheduler that you trust.
@@ -202,7 +201,7 @@ def _distributed() -> Any:
 def _do_on_bench(
     work: Callable[[K, T, Tell], R], opening: Opening[K], item: T, topic: str | None
 ) -> R:
-    """Do a job in a dask worker; what it tells becomes an event of the topic."""
+    """Do a job in a dask worker; its messages become topic events."""
     worker = _distributed().get_worker()
 
     def tell(*message: float | str) -> None:

@@ -1,11 +1,10 @@
 """Places laid out adaptively: dense where skylines are near, sparse where they are far.
 
 The plan is a tree of nested lattices. Places of the coarsest lattice are rendered first. A place's
-skyline shows whether more places there would pay, that is, save more views than the same number in
-other squares. Where they would, the next lattice, twice as dense, is filled in. Every rendered
-place is kept. Each block of the map is planned on its own, and the result depends neither on the
-process that plans a block nor on the order. `skyline.survey.losses` has the odds that a view is
-lost.
+skyline shows whether more places there would pay: save more views than as many in other squares.
+Where they would, the next lattice, twice as dense, is filled in. Every rendered place is kept. Each
+block of the map is planned on its own, and the result depends neither on the process that plans a
+block nor on the order.
 """
 
 import math
@@ -26,7 +25,7 @@ from skyline.terrain.viewpoints import Viewpoints, stand_where_possible
 
 @dataclass(frozen=True, slots=True)
 class Nesting:
-    """The nested lattices of a block; each is twice as dense as the one before."""
+    """The nested lattices of a block, each twice as dense."""
 
     coarsest_m: float = 1280.0
     """Spacing of the coarsest lattice, a whole multiple of the finest."""
@@ -150,7 +149,7 @@ class Prices:
 
 
 def spread_over(terrain: HeightField, area: Rectangle) -> tuple[Viewpoints, float]:
-    """Return viewpoints spread evenly over an area, and the surface's size in m2.
+    """Return viewpoints spread evenly over an area, and its surface (m2).
 
     There are some 64 to 512, always the same ones; fewer where less than 0.05 % of the area has a
     surface. Raises `InputError` where none of 131,072 locations has one.
@@ -257,7 +256,7 @@ class _Seen:
         return row[row >= 0]
 
     def lost_around(self, nodes: Int64Array, level: int) -> Float64Array:
-        """Return the shares that each spacing loses at nodes (N, 2) and their neighbours.
+        """Return what each spacing loses at nodes (N, 2) and their neighbours.
 
         The shares (N, levels) are means over the nodes that have places; NaN where none has.
         """
@@ -275,7 +274,7 @@ class _Seen:
 
 
 def _index(nodes: Int64Array) -> tuple[Int64Array, Int64Array]:
-    """Return the indices of nodes (..., 2) in the arrays of `_Seen`."""
+    """Return the indices of nodes (..., 2) in `_Seen._row`."""
     return nodes[..., 0] + _UNITS, nodes[..., 1] + _UNITS
 
 
@@ -295,7 +294,7 @@ def _lattice_of_roots(first: int, number: int) -> Int64Array:
 
 
 def _next_lattice(nodes: Int64Array, level: int) -> Int64Array:
-    """Return nodes (N, 2) of a level, and those that the next level adds beside them."""
+    """Return nodes (N, 2), and those that the next level adds."""
     half = _side(level) // 2
     beside = nodes + half
     if level % 2:

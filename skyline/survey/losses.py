@@ -41,12 +41,12 @@ class LossLaw:
     14.5 GB, and change no share by a point."""
 
     def lost(self, nearness: Float64Array, spacing_m: Float64Array) -> Float64Array:
-        """Return the expected share of lost views, for mean inverse distances and spacings."""
+        """Return the expected share of lost views, by nearness and spacing."""
         odds = (spacing_m * nearness / self.even_odds) ** self.power
         return np.asarray(odds / (1.0 + odds), dtype=np.float64)
 
     def nearness(self, distance_m: Float32Array) -> Float64Array:
-        """Return mean inverse distances (N, 36), 1 / m, of views round places."""
+        """Return views' mean inverse distances (N, 36), 1 / m, round places."""
         # The nearest stretches of a skyline move most, so the mean is one of nearness.
         known_m = np.nan_to_num(distance_m.astype(np.float64), nan=self.farthest_m)
         nearness = 1.0 / np.clip(known_m, self.nearest_m, self.farthest_m)
@@ -63,7 +63,7 @@ _LAW = LossLaw()
 
 
 def lost_shares(distance_m: Float32Array, spacing_m: Float64Array) -> Float64Array:
-    """Return the expected shares (N, S) of lost views round N places, for S spacings.
+    """Return expected shares (N, S) of lost views, by place and spacing.
 
     The views are 60 degrees wide and begin at 0, 10, 20, ... degrees. ``distance_m`` (N, B) is of
     the skylines all the way round; NaN where there is no data.
@@ -73,7 +73,7 @@ def lost_shares(distance_m: Float32Array, spacing_m: Float64Array) -> Float64Arr
 
 
 def expected_finds(source: PlaceSource) -> list[tuple[float, float, float]]:
-    """Return the share of views that a search should find, by the skyline's distance.
+    """Return the share of views a search should find, by skyline distance.
 
     Each class has its least skyline distance (harmonic mean, metres), its share of all views, and
     the share of its views that is expected to be found. Of very many places every n-th is read.

@@ -34,21 +34,18 @@ CountRows = Callable[[int, int], object]
 
 @dataclass(frozen=True, slots=True)
 class PartSize:
-    """How much work a part keeps.
-
-    It is written when the rendering in hand is done.
-    """
+    """How much work a part holds before it is written."""
 
     seconds: float = 2.5
-    """Time of rendering. A part takes twelve milliseconds to write and to merge, half a percent of
-    the default."""
+    """Time of rendering, after which a part is written when the rendering in hand is done. Writing
+    and merging a part takes twelve milliseconds, half a percent of the default."""
     most_bytes: int = 1 << 28
     """Greatest size of the rows that wait in memory, however fast they are rendered."""
 
 
 @dataclass(frozen=True, slots=True)
 class PartsFolder:
-    """The folder in which the parts of a build lie, and their names."""
+    """The folder of a build's parts, and their names."""
 
     path: Path
     holds: str
@@ -60,10 +57,7 @@ class PartsFolder:
         return self.path / f"{self.holds}-{first:05d}-{last:05d}-of-{self.jobs:05d}.h5"
 
     def jobs_in(self, part: Path) -> range:
-        """Return the finished jobs in a part of this build.
-
-        A begun part and another file have none.
-        """
+        """Return a part's finished jobs; none for begun parts and other files."""
         found = _FINISHED.fullmatch(part.name)
         if part.parent != self.path or not found or int(found[3]) != self.jobs:
             return range(0)
@@ -213,6 +207,6 @@ def _eyes_of(header: StoreHeader, columns: Columns) -> Complex128Array:
 
 
 def _joined(some: Sequence[Columns]) -> Columns:
-    """Return rows after each other; no columns at all for none."""
+    """Join rows; without any, the result has no columns."""
     names = some[0] if some else ()
     return {name: np.concatenate([columns[name] for columns in some]) for name in names}

@@ -34,8 +34,8 @@ DEFAULT_PLACES = 100_000
 """Default number of places, which two cores without a GPU render in half a minute."""
 
 DEFAULT_LOSSES = (0.05, 0.2)
-"""Bounds on the share of views that a default plan loses: a small area gets fewer places, so that
-it loses the first share, and a large area more, so that it loses no more than the second."""
+"""Least and greatest share of views that a default plan loses. A small area gets so few places that
+it loses the first share; a large area gets so many that it loses no more than the second."""
 
 _KEYPOINT_TOLERANCE_PX = 1.0
 """Greatest distance of a skyline from the polyline whose vertices are its keypoints."""
@@ -55,7 +55,7 @@ class JobSize:
     """Viewpoints of a job, which one worker renders: some seconds of work without a GPU."""
     at_once: int
     """Viewpoints that are rendered at once, between which parts can be written: up to a second of
-    work without a GPU. Fewer take longer each: 64 places 16 % longer, 36 places 25 %."""
+    work without a GPU. With fewer, each takes longer: 16 % with 64 places, 25 % with 36."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,10 +72,11 @@ class JobRenderer(Releasable):
     at_once: int
     """The number of viewpoints that ``look`` is called with."""
     rows: Callable[[Any, Look], Columns]
-    """Returns the rows of the store for a job. It is given the job and a function that stands for
-    ``look``, which it calls with the same viewpoints in the same order however often it runs."""
+    """Returns the store's rows for a job. Its arguments are the job and a function that stands in
+    for ``look``. However often it runs, it calls that function with the same viewpoints in the same
+    order."""
     expected: int = 0
-    """About how many rows the jobs of the plan render; 0 where the jobs have their viewpoints."""
+    """About how many rows the jobs of the plan render; 0 where each job is given as viewpoints."""
 
     def release(self) -> None:
         """Free the renderer's memory on the GPU."""
@@ -84,7 +85,7 @@ class JobRenderer(Releasable):
 
 @dataclass(frozen=True, slots=True)
 class PlacePlan:
-    """Plan of a store of places, on a uniform grid or adapted to skylines.
+    """Plan of places, on a uniform grid or adapted to skylines.
 
     Its settings are the parameters of `skyline.build_places`; ``job_size`` changes no byte of the
     store. Raises `InputError` for both a spacing and a number of places.
@@ -99,13 +100,13 @@ class PlacePlan:
     def __post_init__(self) -> None:
         if self.spacing_m is not None and self.places is not None:
             raise InputError("give one of the spacing (a uniform grid) and the number of places")
-        # NumPy's numbers are no JSON.
+        # JSON takes no NumPy numbers.
         for name, number in (("spacing_m", float), ("places", int), ("bounds_deg", check_bounds)):
             if (given := getattr(self, name)) is not None:
                 object.__setattr__(self, name, number(given))
 
     def header(self, terrain: HeightField) -> StoreHeader:
-        """Return the header of the store, without the renderer's name."""
+        """Return the store's header, without the renderer's name."""
         spread: dict[str, object] = {"planner": "uniform", "spacing_m": self.spacing_m}
         if self.spacing_m is None:
             spread = {"planner": "adaptive", "places": self.places}
@@ -229,7 +230,7 @@ Plan = PlacePlan | RenderingPlan
 def _at_once(renderer: ColumnRenderer, size: JobSize) -> int:
     """Return how many viewpoints are rendered at once.
 
-    These are a whole job's where each rendering loads the terrain anew.
+    Where each rendering loads the terrain anew, they are all viewpoints of a job.
     """
     return size.at_once if renderer.is_resident else size.whole
 
@@ -277,7 +278,7 @@ def rendering_columns(header: StoreHeader, views: Views) -> Columns:
 
 
 def map_bounds(field: HeightField, bounds_deg: Bounds | None) -> Rectangle:
-    """Return the part of a field inside bounds (WGS 84), or all of it.
+    """Return the part of a field inside bounds, or all of it.
 
     The box in degrees is a curved quadrangle on the map; its bounding rectangle is returned,
     clipped to the field. Raises `InputError` for bounds that are not numbers in order, or that do
@@ -301,7 +302,7 @@ def map_bounds(field: HeightField, bounds_deg: Bounds | None) -> Rectangle:
 
 
 def _area_to_build(field: HeightField, bounds_deg: Bounds | None) -> Rectangle:
-    """Return `map_bounds`; warn where a tenth of the bounds lies outside the field."""
+    """Return `map_bounds`; warn where a tenth lies outside the field."""
     area = map_bounds(field, bounds_deg)
     if bounds_deg is not None:
         share = _area_m2(area) / _area_m2(field.frame.rectangle_m(bounds_deg))
@@ -322,7 +323,7 @@ def _area_m2(rectangle: Rectangle) -> float:
 
 
 def _clipped(field: HeightField, bounds_deg: Bounds) -> Rectangle | None:
-    """Return the part of a field in bounds; None where there is none."""
+    """Return the part of a field in bounds, or None."""
     west, south, east, north = field.frame.rectangle_m(bounds_deg)
     left, low, right, high = field.bounds_m
     clipped = (max(west, left), max(south, low), min(east, right), min(north, high))
@@ -335,8 +336,8 @@ def uniform_grid(
     """Return viewpoints at whole multiples of a spacing in the field's frame.
 
     Areas that overlap share their viewpoints. Locations on holes or off the surface are left out.
-    The order is row by row from the north-west. Raises `InputError` for a spacing that
-    is not positive, or so large that no viewpoint falls on the surface.
+    The order is row by row from the north-west. Raises `InputError` for a spacing that is not
+    positive, or so large that no viewpoint falls on the surface.
     """
     if not (np.isfinite(spacing_m) and spacing_m > 0.0):
         raise InputError(f"spacing is {spacing_m} m; expected a positive number of metres")
@@ -355,7 +356,7 @@ def uniform_grid(
 def lattice_m(
     bounds_m: Rectangle, spacing_m: float, most: int
 ) -> tuple[Float64Array, Float64Array]:
-    """Return the multiples of a spacing in bounds: eastings, and northings from the north.
+    """Return a spacing's multiples in bounds: eastings, and northings from north.
 
     Raises `InputError` for more than ``most`` locations.
     """

@@ -25,7 +25,7 @@ wide."""
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DataEdge:
-    """The rectangle that a DEM covers, and how high the terrain beyond may be.
+    """The rectangle of a DEM, and the greatest heights beyond.
 
     Holes within the rectangle are ignored.
     """
@@ -83,10 +83,7 @@ class DataEdge:
     def _leaving(
         self, easting_m: FloatArray, northing_m: FloatArray, azimuth_rad: FloatArray
     ) -> tuple[FloatArray, Float32Array]:
-        """Return the distance at which rays leave the data.
-
-        The second result is the height of the terrain beyond.
-        """
+        """Return the distances where rays leave the data, and heights beyond."""
         west, south, east, north = self.bounds_m
         width_m = east - west
         length_m = north - south

@@ -67,7 +67,7 @@ class Vertical:
 
 
 def metres_per(unit: str) -> float | None:
-    """Return the metres in a unit of length, None for an unknown name.
+    """Return a length unit's metres, or None for an unknown name.
 
     The unit is one of PROJ or EPSG, in the spelling of GDAL, ESRI or CF.
     """
@@ -80,10 +80,7 @@ def metres_per(unit: str) -> float | None:
 
 @cache
 def _units() -> Mapping[frozenset[str], float]:
-    """Return the metres in each unit, by the words of its names.
-
-    The units of length are those that PROJ knows.
-    """
+    """Return the metres in PROJ's length units, by their names' words."""
     metres = {
         _key(name): unit.conv_factor
         for unit in get_units_map(category="linear").values()
@@ -145,10 +142,7 @@ def vertical_of(source: str, crs: CRS, band_unit: str, positive: str) -> Vertica
 
 
 def _datum_of(crs: CRS) -> tuple[str, str]:
-    """Return the name of a vertical datum and `Vertical.reference`.
-
-    Both are empty if none is named.
-    """
+    """Return `Vertical.datum` and `Vertical.reference`; both empty if none is named."""
     for part in crs.sub_crs_list:
         if part.is_vertical:
             name = str(part.name)
@@ -174,10 +168,7 @@ def map_conventions(crs: CRS) -> Mapping[str, str]:
 
 
 def merged_conventions(conventions: Sequence[Mapping[str, str]]) -> dict[str, str]:
-    """Return the conventions of several files by name.
-
-    Where files differ, all are listed.
-    """
+    """Return the conventions of several files; where they differ, all are listed."""
     names = dict.fromkeys(name for one in conventions for name in one)
     return {
         name: "; ".join(dict.fromkeys(one[name] for one in conventions if name in one))

@@ -17,7 +17,7 @@ Dem = Paths | HeightField
 
 
 def read_dem(paths: Dem, options: DemOptions | None = None) -> HeightField:
-    """Read one DEM, or several tiles of one, as a metric height field.
+    """Read a DEM, or several tiles of one, as a height field.
 
     Samples stand at pixel centres, as GDAL places the pixels. Spikes are removed and small voids
     filled on the files' own grid, before anything is resampled. A DEM in a metric CRS whose map is

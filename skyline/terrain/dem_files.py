@@ -47,11 +47,11 @@ _TILE_ENDINGS = (
     ".dt0", ".dt1", ".dt2", ".xyz",
     _ZIP, ".tar", ".tgz", ".7z", ".rar", ".bz2", ".xz", ".zst",
 )  # fmt: skip
-"""Endings of tiles and of packed files; a file with one that GDAL does not open may be a tile."""
+"""Endings of tiles and packed files: a file with one may be a tile, even if GDAL cannot open it."""
 _BARE = {"EHdr", "ENVI", "GenBin"}
-"""GDAL's formats of bare samples, in which it opens any file beside a header of its name."""
+"""GDAL's formats of bare samples: GDAL opens any file that lies beside a header of its name."""
 _REFERRING = {"VRT", "GTI"}
-"""GDAL's formats whose files name other rasters, which are no sidecar files."""
+"""GDAL's formats whose files name other rasters; those rasters are not sidecar files."""
 _GREYS = {ColorInterp.gray, ColorInterp.undefined, ColorInterp.alpha}
 """Roles of bands that may hold heights, and of the mask beside them."""
 
@@ -98,10 +98,7 @@ def dem_names(paths: Paths) -> tuple[str, ...]:
 
 
 def _names_of(given: Any) -> list[str]:
-    """Return the names of the rasters that one path stands for.
-
-    Raises as `dem_names`.
-    """
+    """Return the names of one path's rasters; raises as `dem_names`."""
     path = os.fspath(given) if isinstance(given, os.PathLike) else given
     if not isinstance(path, str):
         raise no_dem(given)
@@ -135,9 +132,9 @@ def absolute_name(path: str | Path) -> str:
 
 
 def _tiles_among(where: str, files: Sequence[Path]) -> list[str]:
-    """Return the names of the rasters of heights among files.
+    """Return the names of the rasters of heights among files of ``where``.
 
-    The files are of a folder or an archive, ``where``. Raises as `dem_names`.
+    ``where`` is a folder or an archive. Raises as `dem_names`.
     """
     names = [name for file in files for name in _members(file)]
     rasters = _without_sidecars([one for name in names if (one := _raster_in(name, where))])
@@ -163,10 +160,7 @@ def _tiles_among(where: str, files: Sequence[Path]) -> list[str]:
 
 
 def _members(file: Path) -> list[str]:
-    """Return the GDAL names of an archive's members.
-
-    For another file it is the file's name.
-    """
+    """Return an archive's members as GDAL names, or the file itself."""
     if file.suffix.lower() != _ZIP or not is_file(file):
         return [str(file)]
     try:
@@ -182,10 +176,7 @@ def _members(file: Path) -> list[str]:
 
 
 def _raster_in(name: str, where: str) -> _Raster | None:
-    """Return the raster in a file of a folder, or None.
-
-    Raises as `dem_names`.
-    """
+    """Return the raster in a file, or None; raises as `dem_names`."""
     # The rasters of STAC items would be fetched from servers.
     if name.lower().endswith((".json", ".geojson")):
         return None
@@ -208,22 +199,21 @@ def _raster_in(name: str, where: str) -> _Raster | None:
 
 
 def _raster_of(name: str, dataset: Any) -> _Raster | None:
-    """Return what an open raster is.
+    """Describe an open raster; None without samples, and for lists of points.
 
-    The result is None if the file has no samples of its own, or lists points. Raises `InputError`
-    where a file has several rasters, and where bare samples are cut short.
+    Raises `InputError` where a file has several rasters, and where bare samples are cut short.
     """
     bands, _ = bands_of(dataset)
     if not bands:
         if any(map(_is_on_map, dataset.subdatasets)):
             raise InputError(f"{name} holds several rasters ({', '.join(dataset.subdatasets)})")
         return None
-    # A text that is not named as a tile may as well list peaks or viewpoints, which lie apart.
+    # A text without a tile's ending may list peaks or viewpoints, which lie far apart.
     may_be_list = dataset.driver == "XYZ" and not _is_named_as_tile(name)
     if may_be_list and filled_share(name, dataset) < 0.5:
         return None
     is_byte = set(dataset.dtypes) == {"uint8"}
-    # With values of more than 8 bits a palette only colours the heights.
+    # Where values have more than 8 bits, a palette only colours the heights.
     greys = _GREYS if is_byte else _GREYS | {ColorInterp.palette}
     has_colours = not set(dataset.colorinterp) <= greys
     is_picture = has_colours or (is_byte and (len(bands) > 1 or dataset.transform.is_identity))
@@ -243,10 +233,10 @@ def _raster_of(name: str, dataset: Any) -> _Raster | None:
 
 
 def _without_sidecars(rasters: Sequence[_Raster]) -> list[_Raster]:
-    """Return rasters without those that belong to others.
+    """Leave out rasters that belong to others, such as overviews and masks.
 
-    Overviews and masks belong to others, for example. Where two rasters belong to each other, the
-    first stays; where files of bare samples share a header, the shortest stays.
+    Where two rasters belong to each other, the first stays; where files of bare samples share a
+    header, the shortest stays.
     """
     files = {one.name: one.files for one in rasters}
     owned = {
@@ -262,7 +252,7 @@ def _without_sidecars(rasters: Sequence[_Raster]) -> list[_Raster]:
 
 
 def _without_pictures(rasters: Sequence[_Raster]) -> list[_Raster]:
-    """Return rasters without pictures, and without masks and shaded reliefs.
+    """Leave out pictures, masks and shaded reliefs.
 
     A mask or a shaded relief has 8 bits and lies over a raster of more bits. Where all rasters have
     8 bits, as canopy models do, all may hold heights.
@@ -287,7 +277,6 @@ def _is_on_map(name: str) -> bool:
 
 
 def _size_of(name: str) -> int:
-    """Return the size in bytes of a file or an unpacked member."""
     member = archive_of(name)
     if member is None:
         return Path(name).stat().st_size
@@ -296,10 +285,7 @@ def _size_of(name: str) -> int:
 
 
 def _is_text(name: str) -> bool:
-    """Return whether the first kilobyte of a file is text.
-
-    A text has no zero byte.
-    """
+    """Return whether a file's first kilobyte has no zero byte."""
     with unpacked(name) as content:
         return b"\0" not in content.read(1024)
 
@@ -314,17 +300,14 @@ def _stem(name: str) -> str:
 
 
 def _is_beside(name: str, stems: set[str]) -> bool:
-    """Return whether a file is named after a tile.
-
-    Files named after ``dem.tif`` are ``dem.prj`` and ``dem.tif.md5``, for example.
-    """
+    """Return whether a file is named after a tile, as ``dem.prj``."""
     path = PurePath(name)
     parts = path.name.split(".")
     return any(str(path.with_name(".".join(parts[:n]))) in stems for n in range(1, len(parts)))
 
 
 def _shown(name: str, where: str) -> str:
-    """Return the name of a file within a folder, or within its archive."""
+    """Return a file's name within a folder or an archive."""
     path = Path(*(archive_of(name) or (name,)))
     base = Path(where).absolute()
     return str(path.relative_to(base if base.is_dir() else base.parent))

@@ -16,7 +16,7 @@ STRIP_SAMPLES = 1 << 22
 
 @dataclass(frozen=True, slots=True)
 class Grid:
-    """A north-up grid of samples in the units of its CRS; coordinates are of the samples."""
+    """A north-up grid; coordinates are of its samples, in CRS units."""
 
     west: float
     north: float
@@ -57,17 +57,14 @@ class Grid:
 
 
 def full_turn(crs: CRS) -> float | None:
-    """Return a full turn in the units of a geographic CRS.
-
-    Any other CRS has none: the result is None.
-    """
+    """Return a full turn in a CRS's units; None unless geographic."""
     if not crs.is_geographic:
         return None
     return round(2.0 * math.pi / crs.axis_info[0].unit_conversion_factor, 9)
 
 
 def row_strips(grid: Any, samples: int = STRIP_SAMPLES) -> Iterator[slice]:
-    """Yield slices of rows that together cover an array or an open dataset.
+    """Yield slices of rows that cover an array or open dataset.
 
     A slice holds about ``samples`` samples, and at least one row.
     """

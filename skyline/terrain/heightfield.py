@@ -41,7 +41,7 @@ class HeightField:
     ----------
     heights_m : (rows, cols) float32 or float64, read-only
         Metres above the DEM's datum at the samples; row 0 is the northernmost, column 0 the
-        westernmost; NaN marks a hole, as do masked samples of an array that is given.
+        westernmost; NaN marks a hole. Masked samples of a given array become holes.
     west_m : float
         Easting of the samples of column 0 (pixel centres).
     north_m : float
@@ -51,7 +51,7 @@ class HeightField:
     spacing_north_m : float
         Distance between neighbouring samples of a column.
     frame : Frame
-        The map, which is true here (`skyline.geodesy.frame.Frame.untrue_deg`).
+        The map, whose angles are true here (`skyline.geodesy.frame.Frame.untrue_deg`).
     provenance : Provenance
         The files, and the treatment of their samples.
     """
@@ -130,18 +130,18 @@ class HeightField:
         Parameters
         ----------
         dataset : rasterio dataset
-            Open to read, of one band: a file, a `MemoryFile`, a `WarpedVRT`.
+            A file, a `MemoryFile` or a `WarpedVRT`, open to read, with one band.
 
         Returns
         -------
         HeightField
-            Its provenance names the file, if the dataset is one. A store built from a field without
-            a file is matched with ``Matcher(store, dem=field)``.
+            Its provenance names the dataset's file, if it has one. A store built from a field
+            without a file is matched with ``Matcher(store, dem=field)``.
 
         Raises
         ------
         InputError
-            It is no open dataset, or has not one band, no CRS that is understood, a rotated grid,
+            It is not an open dataset, has several bands, a missing or unknown CRS, a rotated grid,
             or no height at all.
         """
         options = options or DemOptions()
@@ -158,21 +158,20 @@ class HeightField:
         data_array : xarray.DataArray
             Heights by two dimensions, ``y, x``, ``lat, lon``, ``latitude, longitude`` or
             ``northing, easting``, in any order, with even coordinates of the samples. Further
-            dimensions have one entry. The CRS is that of its grid mapping (CF, as rioxarray
-            writes it), else ``options.crs``. ``_FillValue``, ``missing_value``, ``scale_factor``,
-            ``add_offset``, ``units`` and ``positive`` among its attributes are applied.
+            dimensions have one entry. Its grid mapping (CF, as rioxarray writes it) gives the CRS,
+            else ``options.crs``. Its attributes ``_FillValue``, ``missing_value``,
+            ``scale_factor``, ``add_offset``, ``units`` and ``positive`` are applied.
 
         Returns
         -------
         HeightField
-            The field has no file: a store built from it is matched with ``Matcher(store,
-            dem=field)``.
+            It has no file: a store built from it is matched with ``Matcher(store, dem=field)``.
 
         Raises
         ------
         InputError
-            It is no DataArray, the dimensions are others, there are several bands, coordinates are
-            missing or not even, there is no CRS that is understood, or no height at all.
+            It is not a DataArray, has other dimensions or several bands, missing or uneven
+            coordinates, a missing or unknown CRS, or no height at all.
         """
         options = options or DemOptions()
         return _field_of_tile(array_tile(data_array, options.default_crs), options)
@@ -189,10 +188,10 @@ class HeightField:
 
     @property
     def height_sd_m(self) -> float:
-        """Standard deviation of the heights, expected from the spacing.
+        """Standard deviation of the heights' errors, estimated from the spacing.
 
-        It is 1.2 m times the root of the spacing in metres. Measured against finer models it is
-        6.1 m at 20 m (Davos) and 9.4 m at 70 m (California).
+        It is 1.2 m times the root of the spacing in metres. Heights differed from finer models by
+        6.1 m at 20 m (Davos) and by 9.4 m at 70 m (California).
         """
         return 1.2 * math.sqrt(self.spacing_m)
 
@@ -213,7 +212,7 @@ class HeightField:
 
     @property
     def box_deg(self) -> Bounds:
-        """West, south, east, north of the map, degrees; west > east across the antimeridian."""
+        """West, south, east, north in degrees; W > E across the antimeridian."""
         west, south, east, north = self.bounds_m
         return self.frame.box_deg(easting_m=[west, east], northing_m=[south, north])
 
@@ -270,7 +269,7 @@ class HeightField:
         lon: ArrayLike | None = None,
         lat: ArrayLike | None = None,
     ) -> Float64Array:
-        """Return the height of the surface; NaN off the map and over holes.
+        """Return the surface's height; NaN off the map and over holes.
 
         Parameters
         ----------
@@ -351,14 +350,14 @@ def _field_of_tile(tile: Tile, options: DemOptions) -> HeightField:
 
 
 def ground_of(field: HeightField) -> Ground:
-    """Return a field's heights as a function of easting and northing."""
+    """Return a field's heights as a `Ground`."""
     return lambda easting, northing: field.height_at(easting_m=easting, northing_m=northing)
 
 
 def ground_slope(ground: Ground, easting_m: Float64Array, northing_m: Float64Array) -> Float64Array:
-    """Return the rise of the ground (M, 2) a metre east, and north.
+    """Return the ground's rise (M, 2) per metre eastwards and northwards.
 
-    The slope is 0 beside unknown ground. The rise is the mean over 15 m on either side.
+    It is the mean over 15 m on either side, and 0 beside unknown ground.
     """
     reach_m = 15.0
     position = easting_m + 1j * northing_m

@@ -22,7 +22,7 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MetricDem:
-    """Samples on a grid of a metric frame, of which a height field is made."""
+    """Samples on a metric grid, from which a height field is made."""
 
     heights_m: Float32Array
     """(rows, cols) float32; NaN marks a hole."""
@@ -35,8 +35,8 @@ def metric_dem(mosaic: Mosaic, options: DemOptions) -> MetricDem:
     """Repair a DEM's heights, and warp them if they need it.
 
     Heights are repaired on their files' own grid, and warped where its map cannot be the frame.
-    Warns where the place is not a likely one for the CRS, and where a map is not used as the frame.
-    Raises `InputError` where the place is none, where there is no height at all, and as
+    Warns where the DEM lies far off the area of its CRS, and where a projected map is not used.
+    Raises `InputError` where the DEM lies nowhere on Earth or has no height at all, and as
     `skyline.terrain.resampling.warp`.
     """
     crs = mosaic.crs
@@ -69,7 +69,7 @@ def metric_dem(mosaic: Mosaic, options: DemOptions) -> MetricDem:
 
 
 def _centre(mosaic: Mosaic) -> tuple[float, float, str]:
-    """Return a DEM's middle in degrees, and the accuracy of its place in words.
+    """Return a DEM's middle in degrees, and its accuracy in words.
 
     Warns where the middle lies far off the area of the CRS; raises `InputError` where it is no
     place on the Earth.
@@ -95,10 +95,9 @@ def _centre(mosaic: Mosaic) -> tuple[float, float, str]:
 
 
 def _map_frame(mosaic: Mosaic) -> Frame | None:
-    """Return the frame of a DEM's own map, or None.
+    """Return the frame of a DEM's map; None if it needs warping.
 
-    None means that the DEM must be warped. A warning says why, unless the map is in degrees or in
-    feet.
+    A warning says why, unless the map is in degrees or in feet.
     """
     crs = mosaic.crs
     if not crs.is_projected:

@@ -23,7 +23,7 @@ AGREEMENT_M = 1.0
 
 OTHER_GROUND_M = 60.0
 """Two models of one ground differ by less at most of their samples: by trees, houses, and errors.
-Slopes, errors of heights, and heights in another unit or above another datum differ by more."""
+Rasters of slopes or errors, and heights in another unit or above another datum, differ by more."""
 
 BORDER_SAMPLES = 64
 """Least length of a border at which a step is looked for; along shorter ones, ridges and valleys
@@ -38,7 +38,7 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mosaic:
-    """The heights of one or more tiles on one grid; its other fields are as in `Tile`."""
+    """The heights of tiles on one grid; other fields as in `Tile`."""
 
     heights_m: Float32Array
     """(rows, cols) float32. NaN marks voids, -inf voids that no file declares, +inf samples that no
@@ -121,10 +121,7 @@ def _lay_tile(place: Float32Array, tile: Tile) -> None:
 
 
 def _warn_of_step(borders: Sequence[tuple[Float32Array, BoolArray]], tile: Tile) -> None:
-    """Warn where a tile stands above or below those beside it.
-
-    The tile has been read.
-    """
+    """Warn where a tile just read stands above or below its neighbours."""
     step_m = max((border_step_m(*border) for border in borders), key=abs, default=0.0)
     if step_m:
         _log.warning(
@@ -198,7 +195,7 @@ def _by_spacing(tiles: Sequence[Tile]) -> list[list[Tile]]:
 
 
 def _with_columns_of(finest: Grid, mosaic: Mosaic, first: Tile) -> Tile:
-    """Return a mosaic as a tile on the columns of a finer grid.
+    """Return a mosaic as a tile on a finer grid's columns.
 
     Heights are interpolated linearly between two samples; where either is a void, the nearest
     sample gives the height. A sample higher than its neighbours passes its height to the nearest
@@ -238,10 +235,7 @@ def _with_columns_of(finest: Grid, mosaic: Mosaic, first: Tile) -> Tile:
 
 
 def _common_grid(tiles: Sequence[Tile]) -> tuple[Grid, list[tuple[int, int]]]:
-    """Return the common grid, and each tile's place on it.
-
-    A place is the row and the column of a tile's first sample.
-    """
+    """Return the common grid, and each tile's first row and column."""
     base = tiles[0].grid
     places = [_place_on_grid(tile, tiles[0]) for tile in tiles]
     top, left = (min(firsts) for firsts in zip(*places, strict=True))
@@ -257,7 +251,7 @@ def _common_grid(tiles: Sequence[Tile]) -> tuple[Grid, list[tuple[int, int]]]:
 
 
 def _place_on_grid(tile: Tile, first: Tile) -> tuple[int, int]:
-    """Return the row and column of a tile on the first's grid.
+    """Return a tile's row and column on the first one's grid.
 
     Raises `InputError` where the tile does not lie on that grid.
     """

@@ -40,7 +40,7 @@ def model_of(files: Sequence[str]) -> str:
 
 
 def _model_of_file(file: str) -> str:
-    """Return what the first pattern shows in a file's name, then in its tags."""
+    """Return what a file's name, else its tags, say it shows."""
     for text in (Path(file).name, *_tags(file)):
         for pattern, product, model in _PRODUCTS:
             if re.search(pattern, text.lower()):
@@ -49,7 +49,7 @@ def _model_of_file(file: str) -> str:
 
 
 def _tags(file: str) -> list[str]:
-    """Return the values of a raster's tags, and the descriptions of its bands."""
+    """Return a raster's tag values and band descriptions."""
     if file.lower().endswith(".gz"):  # An .hgt, which has none
         return []
     try:

@@ -16,8 +16,8 @@ class DemOptions:
     Attributes
     ----------
     crs : str or None
-        Coordinate reference system of files that name none: an EPSG code or WKT. Its vertical part
-        also counts for files in the same CRS that name none, such as ``EPSG:2263+6360``.
+        Coordinate reference system, an EPSG code or WKT, of files that name none. Its vertical
+        part, as in ``EPSG:2263+6360``, also counts for files that name the same CRS without one.
     """
 
     crs: str | None = None
@@ -36,10 +36,7 @@ class DemOptions:
 
     @property
     def default_crs(self) -> CRS | None:
-        """The CRS of files that name none.
-
-        Raises `InputError` if it is not understood.
-        """
+        """The parsed `crs`; raises `InputError` if it is not understood."""
         return None if self.crs is None else parse_crs(self.crs)
 
 

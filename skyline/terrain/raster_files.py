@@ -1,7 +1,4 @@
-"""Rasters that GDAL opens: plain, packed or on a server; their bands, and their errors.
-
-What GDAL says of a file that it cannot read becomes one error of one line.
-"""
+"""Rasters that GDAL opens: plain, packed or on a server; their bands, and their errors."""
 
 import gzip
 import re
@@ -122,19 +119,16 @@ def unpacked(source: str) -> Iterator[IO[bytes]]:
 
 
 def check_whole(source: str) -> None:
-    """Read an archive's member to its end.
-
-    There its checksum is compared, as GDAL does not.
-    """
+    """Read an archive's member, to compare its checksum, as GDAL does not."""
     with unpacked(source) as content:
         while content.read(_BLOCK_BYTES):
             pass
 
 
 def filled_share(source: str, dataset: Any) -> float:
-    """Return the greatest share of a grid that points can fill.
+    """Return the greatest share of a grid that listed points fill.
 
-    A text lists the points. GDAL lays the grid through all points, and gives 0 where there is none.
+    GDAL lays the grid through all points, and gives 0 where there is none.
     """
     with unpacked(source) as content:
         lines = sum(block.count(b"\n") for block in iter(lambda: content.read(_BLOCK_BYTES), b""))
@@ -142,10 +136,7 @@ def filled_share(source: str, dataset: Any) -> float:
 
 
 def bands_of(dataset: Any) -> tuple[list[int], int | None]:
-    """Return the numbers of a dataset's bands of values.
-
-    The second result is the number of its alpha band, or None.
-    """
+    """Return the numbers of value bands, and of the alpha band."""
     roles = list(enumerate(dataset.colorinterp, start=1))
     values = [number for number, role in roles if role is not ColorInterp.alpha]
     alpha = (number for number, role in roles if role is ColorInterp.alpha)
@@ -155,8 +146,8 @@ def bands_of(dataset: Any) -> tuple[list[int], int | None]:
 def files_of(name: str) -> list[str]:
     """Return the files that GDAL reads for a local raster.
 
-    The result is empty if GDAL cannot open the raster. The files are the raster itself, files
-    beside it with a georeference or a CRS, and the files that a virtual raster names.
+    They are the raster itself, files beside it with a georeference or a CRS, and the files that a
+    virtual raster names; none if GDAL cannot open it.
     """
     if "://" in name or name.startswith("/vsi"):
         return []

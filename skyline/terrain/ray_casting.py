@@ -139,7 +139,7 @@ def _carried_over(
     elevation_tan: Float64Array,
     near_m: Float64Array,
 ) -> Float64Array:
-    """Return distances at which rays meet the surface near ``near_m``, by Newton's method.
+    """Return where rays meet the surface near ``near_m``, by Newton's method.
 
     Where it does not converge, the distance is ``near_m``.
     """
@@ -148,7 +148,7 @@ def _carried_over(
     right = np.sin(azimuth_rad) / field.spacing_east_m
 
     def over(away_m: Float64Array) -> tuple[Float64Array, Float64Array]:
-        """Return the terrain's height above the rays, and its change with the distance."""
+        """Return the terrain's height above rays, and its slope with distance."""
         row = eye_row + down * away_m
         col = eye_col + right * away_m
         inside, (first, third, last), south, east = field.triangles(row, col)

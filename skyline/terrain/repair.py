@@ -5,8 +5,8 @@ heights (rows, cols), float32 and C-contiguous, and strip by strip, so that a fi
 millions of samples costs little more than itself. ``spacing_m`` is the coarser of the two sample
 spacings, metres on the ground.
 
-While a DEM is being read, NaN marks a void, which may be filled, -inf a void that the file does not
-declare, and +inf a sample that no file covers, which is never a neighbour and never filled.
+While a DEM is being read, NaN marks a void, and -inf a void that the file does not declare. +inf
+marks a sample that no file covers: it is never filled, and counts as no neighbour.
 
 Fill is an undeclared constant in place of heights that were never measured, such as the zeros round
 a footprint that was turned. It would be a plain over which an eye sees far. It differs from water
@@ -50,24 +50,22 @@ class RepairRules:
     least_neighbours: int = 3
     """Least number of known neighbours that have a median and quartiles."""
     max_void_samples: int = 100
-    """The largest void that is filled. Voids of the Everest tile, cut into the High Sierra at 90 m
-    and filled again, were off by 14 m rms up to 10 samples, 31 m at 50 to 100, 51 m at 200 to 500
-    and 295 m above 10,000."""
+    """The largest void that is filled. Voids of the Everest tile were cut into the High Sierra at
+    90 m and filled: heights were off by 14 m rms in voids of up to 10 samples, 31 m at 50 to 100,
+    51 m at 200 to 500 and 295 m above 10,000."""
     min_fill_samples: int = 100
     """The smallest fill."""
     walled_share: float = 0.5
     """The least share of the rim of fill that is walls."""
     min_rim_samples: int = 20
-    """Least length of the rim of fill, and least number of walls beside a value that is examined,
-    in samples."""
+    """Least number of samples on the rim of fill, and of walls beside a value that may be fill."""
     wall_reach_samples: int = 3
-    """Greatest distance of a wall from the rim, in samples: a cubic resampling spreads a wall over
-    them."""
+    """Greatest distance of a wall from the rim, in samples: cubic resampling spreads a wall."""
     strip_samples: int = STRIP_SAMPLES
     """Samples of a strip of rows; more cost memory, and change nothing else."""
 
     def least_step_m(self, spacing_m: float) -> float:
-        """Return the least step, up or down, at a spike or a wall."""
+        """Return the least step, up or down, at spikes and walls."""
         return max(self.least_spike_m, self.steepest * spacing_m)
 
 
@@ -108,10 +106,7 @@ def repair(
 
 
 def _check_range(heights_m: Float32Array, source: str, rules: RepairRules) -> None:
-    """Raise `InputError` where there is no height.
-
-    Warns of heights that no ground has.
-    """
+    """Raise `InputError` without any height; warn of heights that no ground has."""
     lowest_m = np.inf
     highest_m = -np.inf
     for rows in row_strips(heights_m, rules.strip_samples):
@@ -177,7 +172,7 @@ def remove_spikes(
 
     - no gentle step joins to the rest: every step to a neighbour outside the clump is higher than
       ``rules.least_step_m(spacing_m)``. A summit, the rim of a cliff of any height and the crest of
-      an arete each have a neighbour that is nearer than that;
+      an arete each have a neighbour that is nearer in height;
     - stands out: each of its samples is ``rules.stands_out`` times farther from the median of its
       neighbours (other such clumps left aside) than their quartiles are apart, so that rugged
       ground keeps its ruggedness.
@@ -233,10 +228,7 @@ def fill_voids(heights_m: Float32Array, rules: RepairRules = RepairRules()) -> i
 
 
 def _beside_jumps(heights_m: Float32Array, step_m: float, rules: RepairRules) -> Int64Array:
-    """Return flat indices of heights with a jump beside them.
-
-    The indices are ascending. A jump is more than ``step_m`` up or down.
-    """
+    """Return ascending flat indices of heights beside a jump above ``step_m``."""
     found = []
     for rows in row_strips(heights_m, rules.strip_samples):
         top = max(rows.start - 1, 0)
@@ -280,10 +272,7 @@ def _are_spikes(
 
 
 def _stand_out(own_m: Float64Array, firm_m: Float64Array, rules: RepairRules) -> BoolArray:
-    """Return which heights lie far from their neighbours' median.
-
-    Heights are (N,), the neighbours (N, 8).
-    """
+    """Return which heights (N,) lie far from their neighbours' (N, 8) median."""
     ranked = np.sort(firm_m, axis=1)  # NaN last
     known = np.count_nonzero(np.isfinite(ranked), axis=1)
     last = np.maximum(known - 1, 0)
@@ -329,10 +318,7 @@ def _neighbours(samples: Int64Array, steps: Int64Array, shape: tuple[int, ...]) 
 
 
 def _heights(heights_m: Float32Array, samples: Int64Array) -> Float64Array:
-    """Return heights in float64.
-
-    Heights are NaN on voids, off the grid, and where there is no file.
-    """
+    """Return float64 heights; NaN on voids, off grid, without a file."""
     on_grid = samples >= 0
     heights = np.full(samples.shape, np.nan)
     heights[on_grid] = heights_m.reshape(-1)[samples[on_grid]]
@@ -340,19 +326,13 @@ def _heights(heights_m: Float32Array, samples: Int64Array) -> Float64Array:
 
 
 def _find(samples: Int64Array, wanted: Int64Array) -> tuple[Int64Array, BoolArray]:
-    """Return the slot of each wanted index among ascending samples.
-
-    A mask says whether the index is there.
-    """
+    """Return wanted indices' slots among ascending samples, and which are there."""
     slot = np.minimum(np.searchsorted(samples, wanted), samples.size - 1)
     return slot, samples[slot] == wanted
 
 
 def _walled_values(heights_m: Float32Array, step_m: float, rules: RepairRules) -> list[float]:
-    """Return values that may be fill.
-
-    Such values often stand twice in a row beside a jump.
-    """
+    """Return values that two neighbours beside a jump often have."""
     counts: Counter[float] = Counter()
     reach = rules.wall_reach_samples
     around = np.arange(-reach, reach + 2)
@@ -412,10 +392,7 @@ def _walls(
     step_m: float,
     reach: int,
 ) -> Int64Array:
-    """Return how far east of a rim's samples the wall is.
-
-    The result is the number of samples to the highest wall, 0 for none.
-    """
+    """Return the samples from rims east to the highest wall, or 0."""
     wall = np.zeros(row.size, dtype=np.int64)
     before = np.full(row.size, value)
     highest = np.full(row.size, step_m)

@@ -166,10 +166,7 @@ def _positions(grid: Grid, target: Grid, crs: CRS, frame: Frame) -> _Positions:
 
 
 def _nodes(count: int) -> Float64Array:
-    """Return nodes at most 32 samples apart.
-
-    The nodes reach from one sample before ``count`` samples to one after.
-    """
+    """Return nodes at most 32 samples apart, from -1 to ``count``."""
     return np.linspace(-1.0, count, max(4, count // 32 + 2))
 
 
@@ -216,10 +213,7 @@ def cubic(heights_m: Float32Array, row: Float64Array, col: Float64Array) -> Floa
 
 
 def _keys_weights(t: Float64Array) -> list[Float32Array]:
-    """Return the weights of the four samples around a position.
-
-    The samples are at -1, 0, 1 and 2; the position t is in [0, 1).
-    """
+    """Return weights of samples -1 to 2 for t in [0, 1)."""
     return [
         (((2.0 - t) * t - 1.0) * t * 0.5).astype(np.float32),
         (((3.0 * t - 5.0) * t * t + 2.0) * 0.5).astype(np.float32),
@@ -285,10 +279,9 @@ def keep_summits(
 ) -> None:
     """Lift a warped grid's samples to the heights of local maxima.
 
-    The sample nearest to each is lifted, in place. The nearest sample is one of the corners of the
-    cell in which the maximum lies; holes stay holes. So every summit is as high as it was, at most
-    0.71 of the target's spacing aside. ``to_target`` leads from the CRS of ``grid``, on which
-    ``heights_m`` are, to the CRS of ``target``.
+    The sample nearest to each maximum, a corner of the cell in which it lies, is lifted in place;
+    holes stay holes. So every summit is as high as it was, at most 0.71 of the target's spacing
+    aside. ``heights_m`` are on ``grid``; ``to_target`` leads from its CRS to the CRS of ``target``.
     """
     row, col = local_maxima(heights_m)
     easting, northing = to_target.transform(
@@ -303,10 +296,7 @@ def keep_summits(
 
 
 def _nearest_known(heights_m: Float32Array, row: Float64Array, col: Float64Array) -> Int64Array:
-    """Return the flat index of each position's nearest known corner.
-
-    The result is -1 where there is none.
-    """
+    """Return the flat index of each position's nearest known corner, or -1."""
     rows, cols = heights_m.shape
     top = np.floor(row).astype(np.int64)
     left = np.floor(col).astype(np.int64)

@@ -9,8 +9,8 @@ from skyline.terrain.viewpoints import Viewpoints
 def sight_range_m(field: HeightField, eye_elevation_m: float, drop_per_m2: float) -> float:
     """Return the distance beyond which nothing rises over the dip horizon.
 
-    From e above the lowest ground the line of sight that grazes it touches at sqrt(e / drop) and
-    meets the highest sample, H above, at sqrt(H / drop) farther on.
+    A line of sight from e above the lowest ground grazes that ground at sqrt(e / drop). It meets
+    the highest sample, H above the lowest ground, sqrt(H / drop) farther on.
     """
     lowest, highest = field.height_range_m
     above_m = max(eye_elevation_m - lowest, 0.0)

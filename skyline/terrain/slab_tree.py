@@ -43,10 +43,7 @@ _SLACK_CELLS = 0.02
 
 
 def level_count(strips: int) -> int:
-    """Return the number of levels for a field.
-
-    ``strips`` is its number of strips along the longer axis.
-    """
+    """Return the number of levels for ``strips`` strips along the longer axis."""
     levels = 1
     while LEAF_STRIPS * SLABS**levels < strips:
         levels += 1
@@ -98,10 +95,7 @@ def _coarsened(maxima: Samples, step: int, wanted: int) -> Samples:
 def _bin_level(
     source: Samples, step: int, slab: int, columns: int, slopes: Float64Array
 ) -> SlabLevel:
-    """Return the level of slabs from their maxima.
-
-    ``source`` is a result of `_coarsened`.
-    """
+    """Return the level of slabs from their maxima, a result of `_coarsened`."""
     bands = -(-len(source) // SLABS)
     values = _padded(source, 0, bands * SLABS).reshape(bands, SLABS, -1)
     first_block = int(np.ceil(SLABS * np.abs(slopes).max())) + 1
@@ -126,10 +120,7 @@ def _bin_level(
 
 
 def _sliding_max(values: Samples, start: int, stride: int, count: int, span: int) -> Samples:
-    """Return the greatest of ``span`` columns: (rows, count).
-
-    Spans begin at start, start + stride, ...
-    """
+    """Return maxima (rows, count) of spans at start, start + stride, ..."""
     need = (count - 1) * stride + span
     held = np.full((len(values), need), _nothing(values), dtype=values.dtype)
     first = max(start, 0)

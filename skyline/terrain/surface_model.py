@@ -43,16 +43,16 @@ class SurfaceRules:
 def read_surface(
     surface: Dem, terrain: HeightField, rules: SurfaceRules = SurfaceRules()
 ) -> HeightField:
-    """Read a surface or canopy model as an upper bound.
+    """Read an upper bound of the trees and houses on a terrain.
 
-    Trees and houses on a terrain rise no higher. The heights of a surface model have the terrain's
-    datum, and the heights of a canopy model are above the ground. A model that lies far below the
-    ground, or does not rise and fall with it, is taken for a canopy model. Its grid and CRS may
-    differ from the terrain's; files that name no CRS have the one that was given for the terrain.
+    ``surface`` is a surface model, whose heights have the terrain's datum, or a canopy model, whose
+    heights are above the ground. A model that lies far below the ground, or does not rise and fall
+    with it, is taken for a canopy model. Its grid and CRS may differ from the terrain's; files that
+    name no CRS have the one that was given for the terrain.
 
-    The field returned is on the terrain's samples, nowhere lower: the ground, plus the model's
-    greatest height above it within a sample's distance, or plus ``rules.unknown_m`` where the model
-    has no height.
+    The field returned has the terrain's samples, none of them lower: each is the ground, plus the
+    model's greatest height above it within a sample's distance, or plus ``rules.unknown_m`` where
+    the model has no height.
 
     Raises `InputError` where the model does not cover the terrain or its heights have another
     datum, and as `read_dem`.
@@ -89,10 +89,7 @@ def read_surface(
 def _highest_within(
     above_m: Float64Array, model: HeightField, terrain: HeightField
 ) -> Float64Array:
-    """Return the greatest height above ground near each sample.
-
-    The result is the greatest within one of the terrain's samples.
-    """
+    """Return the greatest height above ground within one of the terrain's samples."""
     wide = [
         max(1, 2 * math.ceil(coarse / fine - 1e-6) - 1)
         for coarse, fine in (
@@ -137,10 +134,7 @@ def _above_ground_m(model: HeightField, terrain: HeightField, rules: SurfaceRule
 
 
 def _above_terrain_m(model: HeightField, terrain: HeightField) -> Float64Array:
-    """Return a model's heights less the terrain's at its samples.
-
-    Heights that are not known are NaN.
-    """
+    """Return a model's heights above the terrain; NaN where unknown."""
     above_m = np.empty(model.heights_m.shape)
     west, south, east, north = terrain.bounds_m
     reach_m = max(model.spacing_east_m, model.spacing_north_m)
@@ -183,19 +177,15 @@ def _name_of(model: HeightField) -> str:
 
 
 def _reference_of(model: HeightField) -> str:
-    """Return `GEOID`, `ELLIPSOID`, or an empty text.
-
-    The text is empty where a model names no datum.
-    """
+    """Return `GEOID`, `ELLIPSOID`, or "" where a model names no datum."""
     datum = model.provenance.conventions.get("vertical_datum", "")
     return next((one for one in (GEOID, ELLIPSOID) if datum.endswith(f"({one})")), "")
 
 
 def _follow_share(heights_m: FloatArray, above_m: Float64Array, rules: SurfaceRules) -> float:
-    """Return how much heights rise where the ground rises a metre.
+    """Return the mean rise of heights (N,) per metre of ground rise.
 
-    The result is the mean over heights (N,). It is 1 for a surface model and 0 for a canopy model;
-    1 where the ground is flat.
+    It is 1 for a surface model and 0 for a canopy model; 1 where the ground is flat.
     """
     ground_m = heights_m - above_m
     rise_m = ground_m - ground_m.mean()
@@ -206,10 +196,7 @@ def _follow_share(heights_m: FloatArray, above_m: Float64Array, rules: SurfaceRu
 
 
 def _positions(field: HeightField, rows: slice, other: HeightField) -> tuple[Float64Array, ...]:
-    """Return positions of samples in another field's frame.
-
-    Positions are easting and northing of the samples of some rows.
-    """
+    """Return easting and northing of some rows' samples in another field's frame."""
     row = np.arange(field.rows)[rows, np.newaxis]
     position = field.to_map(*np.broadcast_arrays(row, np.arange(field.cols)))
     if field.frame == other.frame:

@@ -78,14 +78,11 @@ def open_tile(source: str, default_crs: CRS | None) -> Tile:
 
 
 def dataset_tile(dataset: Any, default_crs: CRS | None) -> Tile:
-    """Return the tile in an open rasterio dataset.
-
-    Raises `InputError` where it is not a usable DEM.
-    """
+    """Return the tile in an open rasterio dataset; raises as `open_tile`."""
     if not isinstance(dataset, DatasetReaderBase) or dataset.closed:
         raise no_dem(dataset)
     source = str(dataset.name)
-    # A warped or virtual dataset does not hold the heights of a file of its name.
+    # A warped or virtual dataset may have the name of a file, but not its heights.
     on_disk = isinstance(dataset, rasterio.DatasetReader) and is_file(source)
     files = (str(Path(source).absolute()),) if on_disk else ()
     return _tile_of(source, lambda: nullcontext(dataset), default_crs, files)
@@ -94,8 +91,8 @@ def dataset_tile(dataset: Any, default_crs: CRS | None) -> Tile:
 def array_tile(array: Any, default_crs: CRS | None) -> Tile:
     """Return the tile in an xarray.DataArray.
 
-    The geotransform and the CRS that rioxarray notes are used, so that a file that it opened gives
-    the same heights as the file itself. Raises `InputError` as `skyline.HeightField.from_xarray`.
+    The geotransform and the CRS are the ones that rioxarray notes, so that its array of a file has
+    the same heights as the file. Raises `InputError` as `skyline.HeightField.from_xarray`.
     """
     if not isinstance(array, library("xarray", "a DataArray").DataArray):
         raise no_dem(array)
@@ -114,7 +111,7 @@ def array_tile(array: Any, default_crs: CRS | None) -> Tile:
     vertical = vertical_of(source, crs, str(attrs.get("units", "")), str(attrs.get("positive", "")))
     on_map = _on_map(source, crs)
     band = np.asarray(array.transpose(y, x, ...).values).reshape(grid.rows, grid.cols)
-    # Once xarray has applied attributes, they are in the encoding instead.
+    # xarray moves attributes to the encoding once it has applied them.
     scale = float(attrs.get("scale_factor", 1.0))
     offset = float(attrs.get("add_offset", 0.0))
     metres = vertical.metres_per_unit
@@ -138,10 +135,7 @@ def _tile_of(
     default_crs: CRS | None,
     files: tuple[str, ...],
 ) -> Tile:
-    """Return the tile in a rasterio dataset.
-
-    The dataset is opened now, and once more when the tile is read.
-    """
+    """Return the tile in a dataset; reading opens the dataset again."""
     with opened() as dataset:
         band, alpha = _height_band(source, dataset)
         crs = _crs_of(source, None if dataset.crs is None else dataset.crs.to_wkt(), default_crs)
@@ -150,7 +144,7 @@ def _tile_of(
             raise InputError(
                 f"{source} has its upper left corner at 0, 0, where GDAL also places a grid whose "
                 "header lacks a corner; name xllcorner and yllcorner in it, or xllcenter and "
-                "yllcenter, or convert a grid that is there to GeoTIFF"
+                "yllcenter, or convert the grid to GeoTIFF if it lies there"
             )
         grid, north_up = _grid_of(source, transform, dataset.shape)
         for name, unit in dataset.tags().items():
@@ -181,7 +175,7 @@ def _tile_of(
                 # Where a file has a mask, GDAL leaves its nodata value aside.
                 voids = np.ma.getmaskarray(values) | (values.data == nodata_value)
                 if alpha is not None:
-                    # GDAL itself takes alpha for a mask in some types of numbers only.
+                    # GDAL itself takes an alpha band for a mask only in some number types.
                     voids |= dataset.read(alpha, window=window) == 0
                 yield rows, _heights_of(source, values.data, voids, scale, offset, metres)
 
@@ -189,9 +183,9 @@ def _tile_of(
 
 
 def _height_band(source: str, dataset: Any) -> tuple[int, int | None]:
-    """Return the numbers of a dataset's band of heights, and of its alpha band or None.
+    """Return the numbers of the height band, and of the alpha band.
 
-    Raises `InputError` where the dataset has not one band of samples on a grid.
+    Raises `InputError` unless the dataset has one band of samples on a grid.
     """
     if dataset.count == 0 and dataset.subdatasets:
         raise InputError(
@@ -226,10 +220,7 @@ def no_dem(given: object) -> InputError:
 def _heights_of(
     source: str, band: NDArray[Any], voids: BoolArray, scale: float, offset: float, metres: float
 ) -> Float32Array:
-    """Return ``(band * scale + offset) * metres``.
-
-    Heights are NaN where void, -inf where a void is not declared.
-    """
+    """Return heights in metres; NaN in voids, -inf in undeclared voids."""
     if not (np.isfinite([scale, offset]).all() and scale):
         raise InputError(
             f"{source} has the scale {scale:g} and the offset {offset:g}, which leave no heights; "
@@ -260,7 +251,7 @@ def _on_map(source: str, crs: CRS) -> CRS:
 def _crs_of(source: str, wkt: str | None, default_crs: CRS | None) -> CRS:
     """Return the CRS that a raster names, else the default.
 
-    Where the raster names the default's map and no vertical part, the default is returned.
+    Where the raster's CRS is the default without its vertical part, the default is returned.
     """
     if wkt is None:
         if default_crs is None:
@@ -324,7 +315,6 @@ def _grid_of(
 
 
 def _dims_of(source: str, array: Any) -> tuple[str, str]:
-    """Return the names of the dimensions of rows and columns."""
     for y, x in _DIMS:
         if y in array.dims and x in array.dims:
             bands = array.size // max(array.sizes[y] * array.sizes[x], 1)
@@ -340,7 +330,7 @@ def _dims_of(source: str, array: Any) -> tuple[str, str]:
 
 
 def _wkt_of_mapping(source: str, mapping: Mapping[str, Any]) -> str | None:
-    """Return the CRS of a grid mapping, as rioxarray or CF write it."""
+    """Return a grid mapping's CRS, as rioxarray or CF write it."""
     for name in ("crs_wkt", "spatial_ref"):
         if name in mapping:
             return str(mapping[name])
@@ -358,7 +348,8 @@ def _wkt_of_mapping(source: str, mapping: Mapping[str, Any]) -> str | None:
 def _transform_of_array(source: str, array: Any, dims: tuple[str, str], noted: object) -> Affine:
     """Return the geotransform of an array's coordinates.
 
-    Where they agree with the one that rioxarray ``noted``, it is returned: it is more exact.
+    Where they agree with the geotransform that rioxarray ``noted``, that one is returned, since it
+    is more exact.
     """
     for dim in dims:
         if dim not in array.coords:
@@ -380,10 +371,7 @@ def _transform_of_array(source: str, array: Any, dims: tuple[str, str], noted: o
 
 
 def _check_unit(source: str, dim: str, unit: str, crs: CRS) -> None:
-    """Raise `InputError` where coordinates are not in the CRS's unit.
-
-    Only units of length are compared.
-    """
+    """Raise `InputError` where coordinates are in another length unit than the CRS."""
     metres = metres_per(unit) if crs.is_projected else None
     axis = crs.axis_info[0]
     if metres and not math.isclose(metres, axis.unit_conversion_factor, rel_tol=SAME_UNIT):

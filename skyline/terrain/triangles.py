@@ -9,7 +9,7 @@ from skyline.arrays import BoolArray, FloatArray
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Triangles:
-    """Masks of the triangles that belong to the surface, padded by one cell that does not.
+    """Masks of the surface's triangles, padded by one empty cell.
 
     Cell (row, col) has its north-west sample at [row, col] of the heights and its two triangles at
     [row + 1, col + 1] here; the padding stands for cells off the map.
@@ -29,7 +29,7 @@ class Triangles:
 
     @property
     def samples(self) -> BoolArray:
-        """Mask of the samples that are a corner of a triangle, (rows, cols)."""
+        """Mask (rows, cols) of the samples that are triangle corners."""
         north_east, south_west = self.north_east, self.south_west
         both = north_east | south_west
         return np.asarray(

@@ -74,8 +74,8 @@ def stand_on(
     easting_m, northing_m : array_like, broadcast to (N,), metres in the field's frame
     eye_height_m : array_like, metres above ground, at least 0
     summit_within_m : float or None
-        Eyes move to the highest point within this distance. None leaves eyes where they are, and
-        lifts an eye within a sample's spacing of a summit of the model to the summit's height
+        Eyes move to the highest point within this distance. None moves no eye, but lifts each one
+        that is within a sample's spacing of a summit of the model to the summit's height
         (`skyline.terrain.summits.summit_heights_m`).
 
     Raises
@@ -175,10 +175,9 @@ def position_on(
 def stand_where_possible(
     field: HeightField, easting_m: ArrayLike, northing_m: ArrayLike
 ) -> tuple[Viewpoints, BoolArray]:
-    """Place eyes 2 m above ground where there is ground.
+    """Place eyes 2 m above ground, where there is ground.
 
-    There is none off the map and on holes. Returns the eyes, and a mask of the locations (N,) where
-    they stand.
+    Returns the eyes, and a mask of the locations (N,) where they stand.
     """
     easting, northing = _flat(easting_m, northing_m)
     ground = field.height_at(easting_m=easting, northing_m=northing)
@@ -201,10 +200,9 @@ def at_elevation(
 def check_eye_elevation(eye_elevation_m: float, ground_m: float) -> None:
     """Raise an error if an eye's elevation is impossible.
 
-    An elevation far below the ground is impossible, too. ``ground_m`` is the elevation of the
-    lowest ground where the eye may stand. Raises `InputError` outside -500 to 20,000 m, and
-    `OffMapError` more than 200 m below the ground: vertical datums differ by up to 100 m, and
-    models err as much beside cliffs.
+    ``ground_m`` is the elevation of the lowest ground where the eye may stand. Raises `InputError`
+    outside -500 to 20,000 m, and `OffMapError` more than 200 m below the ground: vertical datums
+    differ by up to 100 m, and models err as much beside cliffs.
     """
     lowest_m = GROUND_M[0]
     if not lowest_m <= eye_elevation_m <= HIGHEST_EYE_M:
@@ -245,10 +243,7 @@ def _no_ground(
 
 
 def _first_of(failing: Int64Array, count: int) -> str:
-    """Return words for the first of the viewpoints that fail.
-
-    ``count`` is the number of all.
-    """
+    """Return words for the first failing viewpoint of ``count``."""
     return "the place" if count == 1 else f"viewpoint {failing[0]} ({failing.size} such)"
 
 
@@ -277,10 +272,8 @@ def _flat(*values: ArrayLike) -> list[Float64Array]:
 
 
 def _check_heights(eye_height_m: Float64Array) -> None:
-    """Raise `OffMapError` for an eye below the ground.
-
-    A micrometre below it is rounding.
-    """
+    """Raise `OffMapError` for an eye below the ground."""
+    # A micrometre is rounding.
     below = np.flatnonzero(eye_height_m < -1e-6)
     if below.size:
         first = below[0]
@@ -301,8 +294,8 @@ def read_viewpoints(
 
     The CSV has a header: ``easting,northing`` in the field's frame or ``lon,lat`` in degrees
     (WGS 84), and optionally ``eye_height_m`` or ``eye_elevation_m``, and ``id`` or ``name``, which
-    become labels; without either column there are none. ``eye_height_m`` and ``summit_within_m``
-    (as in `stand_on`) are for rows without a height and without an elevation.
+    become labels; without either column there are none. ``eye_height_m`` is for rows without a
+    height or an elevation, ``summit_within_m`` (as in `stand_on`) for rows without an elevation.
 
     Raises `MissingFileError` or `InputError` where the file does not exist or has no rows, the
     columns are wrong, or a value is not a number; otherwise as `stand_on`.
@@ -322,7 +315,7 @@ def read_viewpoints(
     if position == ("lon", "lat"):
         first, second = position_on(field, first, second)
     elif is_on_map(field, *field.frame.from_lonlat(first, second)).all():
-        # In a frame around the model they would lie in its middle, unnoticed.
+        # Read as metres they would lie in the middle of a local frame, unnoticed.
         raise InputError(f"{path} has eastings and northings in degrees; name the columns lon,lat")
     is_elevation = heights == ["eye_elevation_m"]
     given_m = np.array(
