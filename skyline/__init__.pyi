@@ -10,7 +10,7 @@ from .errors import SkylineError as SkylineError
 from .errors import StoreError as StoreError
 from .errors import StoreMismatchError as StoreMismatchError
 from .geodesy.earth import Curvature as Curvature
-from .geodesy.frame import Frame as Frame
+from .geodesy.map_frame import Frame as Frame
 from .horizons import LocalHorizons as LocalHorizons
 from .horizons import horizon as horizon
 from .location import locate as locate
@@ -53,8 +53,8 @@ from .report.overlay import draw_labels as draw_labels
 from .report.panorama import save_panorama as save_panorama
 from .sky_view import sky_view_factor as sky_view_factor
 from .skylines import Views as Views
-from .store.header import StoreHeader as StoreHeader
-from .store.place_map import PlaceMap as PlaceMap
+from .store.layout import StoreHeader as StoreHeader
+from .store.mapped_places import PlaceMap as PlaceMap
 from .store.places import Places as Places
 from .store.read import Store as Store
 from .store.read import open_store as open_store

@@ -28,9 +28,9 @@ from skyline.arrays import Progress
 from skyline.errors import FetchError, InputError, MissingFileError, SkylineError
 from skyline.fetch.dem_tiles import SOURCES, fetch_dem
 from skyline.files import lock_file, version_of
-from skyline.geodesy.degrees import Bounds, check_bounds, width_deg
-from skyline.geodesy.frame import TRUE_DEG, Frame
-from skyline.store.header import SCHEMA_VERSION
+from skyline.geodesy.bounds import Bounds, check_bounds, width_deg
+from skyline.geodesy.map_frame import TRUE_DEG, Frame
+from skyline.store.layout import SCHEMA_VERSION
 from skyline.store.places import PLACE_CODING
 from skyline.survey.build import build_places
 from skyline.survey.plans import DEFAULT_LOSSES, DEFAULT_PLACES, map_bounds

@@ -7,8 +7,8 @@ import numpy as np
 
 from skyline.cache import Area, prepare_area
 from skyline.errors import InputError
-from skyline.geodesy.degrees import Bounds
-from skyline.geodesy.frame import Frame
+from skyline.geodesy.bounds import Bounds
+from skyline.geodesy.map_frame import Frame
 from skyline.match.matcher import Matcher
 from skyline.match.prior import Narrowing
 from skyline.match.result import MatchResult

@@ -24,7 +24,7 @@ import numpy as np
 
 from skyline.arrays import Float64Array
 from skyline.errors import InputError, printable
-from skyline.geodesy.degrees import in_turn
+from skyline.geodesy.bounds import in_turn
 from skyline.geodesy.earth import Curvature
 from skyline.match import confidence
 from skyline.match.config import MatchConfig

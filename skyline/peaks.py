@@ -25,7 +25,7 @@ from skyline.arrays import Float64Array
 from skyline.errors import InputError, printable, swapped_in_words
 from skyline.files import GEOJSON, read_bytes
 from skyline.geodesy.earth import GROUND_M, Curvature
-from skyline.geodesy.frame import Frame
+from skyline.geodesy.map_frame import Frame
 from skyline.tables import Row, read_table
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.ray_casting import edge_crossings_m

@@ -11,8 +11,8 @@ import numpy as np
 from skyline.arrays import BoolArray, Float64Array, IntArray, Rows
 from skyline.camera import MOST_DISTORTION, WANDER_DEGREES, Camera, Projection
 from skyline.errors import InputError
-from skyline.geodesy.degrees import are_degrees, in_turn
-from skyline.geodesy.frame import Frame
+from skyline.geodesy.bounds import are_degrees, in_turn
+from skyline.geodesy.map_frame import Frame
 from skyline.photo.skyline import PhotoSkyline
 
 RIGHT_WITHIN_M = 200.0

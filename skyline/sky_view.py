@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from skyline.arrays import Float64Array
 from skyline.errors import InputError, numbers_of
-from skyline.geodesy.degrees import in_turn
+from skyline.geodesy.bounds import in_turn
 
 
 def sky_view_factor(

@@ -20,7 +20,7 @@ from rasterio.io import MemoryFile
 from skyline.arrays import BoolArray, Float32Array, Float64Array, Progress
 from skyline.errors import InputError, suffix_of
 from skyline.files import write_whole
-from skyline.geodesy.degrees import in_turn
+from skyline.geodesy.bounds import in_turn
 from skyline.geodesy.earth import Curvature
 from skyline.peaks import Peaks, Sighting, check_on_map, most_prominent_first, visible_peaks
 from skyline.photo.skyline import PhotoSkyline

@@ -8,7 +8,7 @@ from PIL import Image
 from rasterio.io import MemoryFile
 from rasterio.transform import Affine, from_origin
 
-from skyline.geodesy.frame import Frame
+from skyline.geodesy.map_frame import Frame
 from skyline.pose import Pose, Poses
 from skyline.render.depth import DepthRenderer
 from skyline.terrain.heightfield import HeightField

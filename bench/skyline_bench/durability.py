@@ -25,14 +25,14 @@ from typer import Argument, Option
 
 from skyline import cli
 from skyline.errors import SkylineError
-from skyline.geodesy.degrees import Bounds
+from skyline.geodesy.bounds import Bounds
 from skyline.render.horizon import RenderConfig
 from skyline.store.check import examine, is_whole
-from skyline.store.header import PLACES
+from skyline.store.layout import PLACES
 from skyline.store.read import open_store, parts_folder
 from skyline.survey.build import build_store
 from skyline.survey.cluster import runner_of
-from skyline.survey.parts import PartSize
+from skyline.survey.part_files import PartSize
 from skyline.survey.plans import JobSize, PlacePlan, Plan, RenderingPlan, map_bounds
 from skyline.terrain.dem import read_dem
 from skyline.terrain.heightfield import HeightField

@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from skyline.geodesy.frame import Rectangle
+from skyline.geodesy.map_frame import Rectangle
 from skyline.survey.plans import uniform_grid
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from skyline import Orientation, PhotoSkyline
-from skyline.geodesy.degrees import in_turn
-from skyline.geodesy.frame import Rectangle
+from skyline.geodesy.bounds import in_turn
+from skyline.geodesy.map_frame import Rectangle
 from skyline.orientation import RIGHT_DEG
 from skyline.photo.exif import NotedPlace
 from skyline.terrain.heightfield import HeightField

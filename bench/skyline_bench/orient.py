@@ -21,8 +21,8 @@ from skyline import Orientation, Orienter, PhotoSkyline, read_dem
 from skyline.arrays import Progress
 from skyline.cli.terminal import Terminal
 from skyline.errors import InputError, SkylineError
-from skyline.geodesy.degrees import in_turn
-from skyline.geodesy.frame import Rectangle
+from skyline.geodesy.bounds import in_turn
+from skyline.geodesy.map_frame import Rectangle
 from skyline.orientation import DEFAULT_WITHIN_M, RIGHT_DEG, Place, orienters
 from skyline.render.depth import DepthRenderer
 from skyline.survey.plans import map_bounds

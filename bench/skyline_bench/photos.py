@@ -29,7 +29,7 @@ from skyline import (
 from skyline.arrays import Float64Array
 from skyline.cli.terminal import Terminal
 from skyline.files import write_with_folders
-from skyline.geodesy.degrees import Bounds, in_turn
+from skyline.geodesy.bounds import Bounds, in_turn
 from skyline.photo.read import read_picture
 from skyline.pose import RIGHT_WITHIN_M
 from skyline.report.html import figures, page, picture, section, table

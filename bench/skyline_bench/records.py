@@ -26,7 +26,7 @@ import skyline
 from skyline import HeightField
 from skyline.errors import ContextError, InputError, SkylineError
 from skyline.files import read_bytes, write_whole
-from skyline.geodesy.degrees import Bounds
+from skyline.geodesy.bounds import Bounds
 from skyline.render.context import acquire_context
 from skyline.store.read import open_store
 from skyline_bench.measuring import Row, core_count

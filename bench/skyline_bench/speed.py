@@ -17,7 +17,7 @@ import numpy as np
 from skyline.arrays import Float64Array, Progress
 from skyline.cli.terminal import Terminal
 from skyline.geodesy.earth import Curvature
-from skyline.geodesy.frame import Frame
+from skyline.geodesy.map_frame import Frame
 from skyline.horizons import DEFAULT_STEP_DEG
 from skyline.render.depth import DepthRenderer
 from skyline.render.horizon import HorizonRenderer, PanoramaRenderer, RenderConfig

@@ -22,8 +22,8 @@ import numpy as np
 from skyline import Matcher, build_places, read_dem
 from skyline.arrays import Float64Array, Progress
 from skyline.errors import InputError
-from skyline.geodesy.degrees import in_turn
-from skyline.geodesy.frame import Rectangle
+from skyline.geodesy.bounds import in_turn
+from skyline.geodesy.map_frame import Rectangle
 from skyline.match import confidence
 from skyline.match.prior import GPS_SD_M, NOTHING_KNOWN, PlacePrior, Prior
 from skyline.match.search import FullMatcher

@@ -16,7 +16,7 @@ import numpy as np
 from skyline import Orienter
 from skyline.arrays import Progress
 from skyline.errors import SkylineError
-from skyline.geodesy.degrees import in_turn
+from skyline.geodesy.bounds import in_turn
 from skyline.match import confidence
 from skyline.match.confidence import ORIENTED, Logistic
 from skyline.orientation import LEAST_CONFIDENCE, RIGHT_DEG, orienters

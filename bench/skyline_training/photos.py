@@ -15,7 +15,7 @@ from scipy import ndimage
 
 from skyline.arrays import Float32Array, Float64Array, UInt8Array
 from skyline.camera import undistorted
-from skyline.geodesy.frame import Frame
+from skyline.geodesy.map_frame import Frame
 from skyline.render.depth import DepthRenderer
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints

@@ -23,7 +23,7 @@ from skyline.geodesy.earth import DEFAULT_REFRACTION_K, Curvature
 from skyline.store.read import open_store
 from skyline.survey.build import BuildResult, build_store
 from skyline.survey.cluster import runner_of
-from skyline.survey.losses import expected_finds
+from skyline.survey.expected_losses import expected_finds
 from skyline.survey.plans import PlacePlan
 from skyline.tasks.render import advise_to_continue, build_bar
 

@@ -12,11 +12,11 @@ from typer import Argument, Option
 
 from skyline.cli.terminal import Terminal
 from skyline.errors import InputError, numbers_of, swapped_in_words
-from skyline.geodesy.degrees import are_degrees
+from skyline.geodesy.bounds import are_degrees
 from skyline.store.read import is_store
 
 if TYPE_CHECKING:
-    from skyline.geodesy.degrees import Bounds
+    from skyline.geodesy.bounds import Bounds
     from skyline.terrain.heightfield import HeightField
 
 

@@ -35,7 +35,7 @@ from skyline.fetch.remote import (
     with_remote,
 )
 from skyline.files import check_folder, for_gdal, write_whole
-from skyline.geodesy.degrees import Bounds, check_bounds, in_turn, width_deg
+from skyline.geodesy.bounds import Bounds, check_bounds, in_turn, width_deg
 from skyline.terrain.raster_files import bands_of, without_secrets
 
 MAX_TILES = 64

@@ -13,7 +13,7 @@ from urllib.request import Request, urlopen
 from skyline.errors import FetchError, InputError, printable, suffix_of
 from skyline.fetch.remote import PASSING, PATIENT, Patience, RequestError, repeated
 from skyline.files import GEOJSON, STANDARD, write_whole
-from skyline.geodesy.degrees import Bounds, check_bounds
+from skyline.geodesy.bounds import Bounds, check_bounds
 from skyline.terrain.raster_files import without_secrets
 
 

@@ -13,7 +13,7 @@ from PIL.Image import Image
 
 from skyline.errors import InputError, SkylineError, StoreError
 from skyline.files import is_file, on_disk
-from skyline.geodesy.frame import Frame
+from skyline.geodesy.map_frame import Frame
 from skyline.match.config import MatchConfig
 from skyline.match.method import MATCHERS, SearchMethod
 from skyline.match.prior import NOTHING_KNOWN, Narrowing, PlacePrior, Prior
@@ -29,7 +29,7 @@ from skyline.plugins import load
 from skyline.pose import Pose
 from skyline.render.context import Releasable, RenderThread
 from skyline.render.horizon import RenderConfig, RenderedScene
-from skyline.store.header import StoreHeader
+from skyline.store.layout import StoreHeader
 from skyline.store.merge import open_joined
 from skyline.store.read import Store
 from skyline.terrain.dem import Dem

@@ -19,8 +19,8 @@ import numpy as np
 
 from skyline.arrays import BoolArray, Complex128Array, Float64Array
 from skyline.errors import InputError, numbers_of, swapped_in_words
-from skyline.geodesy.degrees import check_bounds, in_turn
-from skyline.geodesy.frame import Frame, Rectangle
+from skyline.geodesy.bounds import check_bounds, in_turn
+from skyline.geodesy.map_frame import Frame, Rectangle
 from skyline.match.screen import turns_within
 from skyline.photo.exif import NotedPlace
 from skyline.pose import Poses

@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from skyline.arrays import BoolArray, Complex128Array, Float64Array, IntArray, Rows
-from skyline.geodesy.degrees import in_turn
+from skyline.geodesy.bounds import in_turn
 from skyline.match.prior import NOTHING_KNOWN, EyeHeightPrior, Prior
 from skyline.match.rays import Rays
 from skyline.match.screen import ReportProgress, silent

@@ -10,7 +10,7 @@ import numpy as np
 from pyproj import Geod
 
 from skyline.errors import InputError, library, printable
-from skyline.geodesy.degrees import distance_in_words, in_turn
+from skyline.geodesy.bounds import distance_in_words, in_turn
 from skyline.match.prior import Narrowing
 from skyline.photo.exif import NOTHING_NOTED
 from skyline.photo.skyline import PhotoSkyline

@@ -22,7 +22,7 @@ from skyline.match.prior import NOTHING_KNOWN, Prior
 from skyline.match.rays import REFERENCE_FOV_DEG, Rays, in_runs
 from skyline.match.screen import ReportProgress, Screen, screen_places, silent
 from skyline.pose import Poses
-from skyline.store.place_map import PlaceSource
+from skyline.store.mapped_places import PlaceSource
 from skyline.store.places import Places
 from skyline.terrain.heightfield import Ground, ground_slope
 

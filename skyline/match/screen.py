@@ -38,9 +38,9 @@ from skyline.arrays import (
     Rows,
     UInt8Array,
 )
-from skyline.geodesy.degrees import in_turn
+from skyline.geodesy.bounds import in_turn
 from skyline.match.rays import Rays, on_bins
-from skyline.store.place_map import PlaceSource
+from skyline.store.mapped_places import PlaceSource
 from skyline.store.places import PHASE_BINS, RISE_TO_TURN, Places, decode_phases
 
 ReportProgress = Callable[[str, float], None]

@@ -25,8 +25,8 @@ from skyline.pose import (
     Poses,
 )
 from skyline.render.horizon import RenderedScene
-from skyline.store.header import PLACES
-from skyline.store.place_map import PlaceSource
+from skyline.store.layout import PLACES
+from skyline.store.mapped_places import PlaceSource
 from skyline.store.read import Store
 from skyline.terrain.heightfield import HeightField, ground_of
 from skyline.terrain.viewpoints import LEAST_EYE_HEIGHT_M, Viewpoints

@@ -14,7 +14,7 @@ may have another projection is said besides, since it may be the cause.
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
-from skyline.geodesy.degrees import distance_in_words
+from skyline.geodesy.bounds import distance_in_words
 from skyline.match.config import MatchConfig
 from skyline.match.other_projection import OtherProjection
 from skyline.match.rays import FOV_RANGE_DEG, Rays

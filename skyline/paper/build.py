@@ -6,11 +6,11 @@ from pathlib import Path
 
 from skyline.arrays import Progress
 from skyline.errors import StoreMismatchError
-from skyline.geodesy.degrees import Bounds
+from skyline.geodesy.bounds import Bounds
 from skyline.paper.plan import Plan, PlanConfig, plan
 from skyline.paper.verify import Verification, verify_coverage
 from skyline.render.horizon import HorizonRenderer, RenderConfig
-from skyline.store.header import StoreHeader
+from skyline.store.layout import StoreHeader
 from skyline.store.merge import sorted_once
 from skyline.store.write import check_store_path, write_store
 from skyline.survey.build import BuildResult, finished_store

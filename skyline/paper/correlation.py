@@ -50,7 +50,7 @@ from skyline.skylines import (
     quadrant_bins,
     quadrants,
 )
-from skyline.store.header import RENDERINGS, KeypointColumns
+from skyline.store.layout import RENDERINGS, KeypointColumns
 from skyline.store.read import Store
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints

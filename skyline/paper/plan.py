@@ -15,7 +15,7 @@ import numpy as np
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array, Progress, UInt8Array
 from skyline.errors import InputError
-from skyline.geodesy.frame import Rectangle
+from skyline.geodesy.map_frame import Rectangle
 from skyline.paper.reprojection import displacements_m, moved, skyline_points_m, tolerance_errors_px
 from skyline.paper.strategies import PLANNERS, Coverage, Planner, Problem, Sites
 from skyline.plugins import load

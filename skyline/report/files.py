@@ -25,8 +25,8 @@ from skyline.arrays import Float64Array, UInt8Array
 from skyline.camera import Projection
 from skyline.errors import InputError, printable, suffix_of
 from skyline.files import STANDARD, write_whole, write_with_folders
-from skyline.geodesy.frame import Frame
-from skyline.geodesy.rings import lonlat_rings
+from skyline.geodesy.antimeridian import lonlat_rings
+from skyline.geodesy.map_frame import Frame
 from skyline.match.result import MatchResult, listed
 from skyline.photo.read import read_picture
 from skyline.photo.skyline import PhotoSkyline

@@ -23,8 +23,8 @@ from scipy.spatial import cKDTree
 
 from skyline.arrays import Float32Array, Float64Array, FloatArray, UInt8Array
 from skyline.errors import InputError
-from skyline.geodesy.degrees import degrees_in_words, in_turn
-from skyline.geodesy.frame import Frame
+from skyline.geodesy.bounds import degrees_in_words, in_turn
+from skyline.geodesy.map_frame import Frame
 from skyline.peaks import Sighting
 from skyline.pose import Ellipse, Pose, view_wedge_m
 from skyline.report.labels import Label, UnnamedPeaks, labels_of

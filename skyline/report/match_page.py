@@ -21,7 +21,7 @@ from skyline.report.html import figures, page, picture, section, table, text
 from skyline.report.labels import UnnamedPeaks, encode_figure
 from skyline.report.maps import detail_area, draw_match_map, overview_area
 from skyline.report.overlay import draw_overlay
-from skyline.store.header import PACKAGE_VERSION
+from skyline.store.layout import PACKAGE_VERSION
 from skyline.view import SeenPeak, Sight, Viewer, peaks_in_picture
 
 

@@ -15,7 +15,7 @@ from matplotlib.ticker import MaxNLocator
 from skyline.arrays import Float64Array, UInt8Array
 from skyline.errors import suffix_of
 from skyline.files import write_whole
-from skyline.geodesy.degrees import degrees_in_words
+from skyline.geodesy.bounds import degrees_in_words
 from skyline.peaks import Peaks, Sighting
 from skyline.report.labels import Label, UnnamedPeaks, encode_figure, labels_of, place_labels
 from skyline.report.landscape import COLUMNS, PanoramaConfig, PanoramaView, panorama_view, row_count

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from skyline.errors import SkylineError, StoreError
-from skyline.store.header import ROWS_AT_ONCE, Columns, row_checksums
+from skyline.store.layout import ROWS_AT_ONCE, Columns, row_checksums
 from skyline.store.read import Store, open_hdf5, open_store
 
 _EXAMINER = (sys.executable, "-m", "skyline.store.check")

@@ -18,9 +18,9 @@ import numpy as np
 
 from skyline.arrays import IntArray
 from skyline.errors import InputError, StoreError
-from skyline.geodesy.degrees import Bounds
+from skyline.geodesy.bounds import Bounds
 from skyline.store.check import Damage, StoreReport, whole_rows
-from skyline.store.header import Columns, StoreHeader, explained, refuse_mismatch
+from skyline.store.layout import Columns, StoreHeader, explained, refuse_mismatch
 from skyline.store.read import Store, open_store
 from skyline.store.write import check_store_path, write_store
 

@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 
 from skyline.arrays import BoolArray, Int64Array, IntArray
 from skyline.errors import InputError, MissingFileError, StoreError
-from skyline.geodesy.frame import Frame
+from skyline.geodesy.map_frame import Frame
 from skyline.skylines import Views
-from skyline.store.header import (
+from skyline.store.layout import (
     EYE,
     KEYPOINTS,
     MADE_BY,
@@ -36,7 +36,7 @@ from skyline.store.header import (
     explained,
     read_header,
 )
-from skyline.store.place_map import PlaceMap
+from skyline.store.mapped_places import PlaceMap
 from skyline.store.xarray_export import dataset_of_places, dataset_of_views, table_of_places
 from skyline.terrain.heightfield import facts_html
 from skyline.terrain.viewpoints import Viewpoints

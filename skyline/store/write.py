@@ -17,7 +17,7 @@ import numpy as np
 from skyline.arrays import IntArray
 from skyline.errors import InputError, MissingFileError, check_suffix
 from skyline.files import STANDARD
-from skyline.store.header import (
+from skyline.store.layout import (
     PLACES,
     ROWS_AT_ONCE,
     Columns,
@@ -46,7 +46,7 @@ def write_store(
     """Write a store of some rows, and return their number.
 
     The same rows, order and header give the same bytes. Columns are as
-    `skyline.store.header.columns_of` returns them; ``order`` (N,) has the rows to write, by default
+    `skyline.store.layout.columns_of` returns them; ``order`` (N,) has the rows to write, by default
     all. A store that already exists is replaced. Raises `MissingFileError` where there is no
     folder for the file, and `StoreError` where it cannot be written.
     """

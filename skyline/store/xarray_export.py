@@ -11,7 +11,7 @@ import numpy as np
 
 from skyline.arrays import Float64Array, IntArray
 from skyline.errors import library
-from skyline.geodesy.frame import Frame
+from skyline.geodesy.map_frame import Frame
 from skyline.skylines import Views, bin_azimuths_rad, columns_u
 from skyline.store.places import BINS, DISTANCE_BINS, Places
 

@@ -1,7 +1,7 @@
 """Building a store, in parts that are merged at the end.
 
 A plan cuts the work into jobs, the same ones whenever it runs. Every few seconds the rendered rows
-are written as a part (`skyline.survey.parts`). So a build that is killed loses the last few
+are written as a part (`skyline.survey.part_files`). So a build that is killed loses the last few
 seconds, and the same command continues. Parts lie in the folder ``STORE.parts``, where each build
 (one box, DEM and settings) has a subfolder of its own. Merging sorts the rows: the number of
 workers, the order and number of the parts, and how often a build was killed change no byte of the
@@ -23,16 +23,16 @@ from uuid import uuid4
 
 from skyline.arrays import Progress
 from skyline.errors import BuildError, InputError, SkylineError, StoreError, StoreMismatchError
-from skyline.geodesy.degrees import Bounds
+from skyline.geodesy.bounds import Bounds
 from skyline.geodesy.earth import Curvature
 from skyline.render.horizon import RenderConfig
 from skyline.store.check import is_whole
-from skyline.store.header import BEGUN, PLACES, StoreHeader, attributes_digest, refuse_mismatch
+from skyline.store.layout import BEGUN, PLACES, StoreHeader, attributes_digest, refuse_mismatch
 from skyline.store.merge import merged_rows
 from skyline.store.read import open_store, parts_folder
 from skyline.store.write import check_store_path, write_store
 from skyline.survey.cluster import Opening, Runner, Tell
-from skyline.survey.parts import JobWriter, PartsFolder, PartSize, rows_an_eye
+from skyline.survey.part_files import JobWriter, PartsFolder, PartSize, rows_an_eye
 from skyline.survey.plans import JobRenderer, PlacePlan, Plan, RenderingPlan
 from skyline.terrain.dem import Dem, read_dem
 from skyline.terrain.heightfield import HeightField
@@ -81,7 +81,7 @@ def build_places(
         with other bounds is replaced by a store of both areas.
     spacing_m : float, optional
         Metres between the places of a uniform grid. By default places lie densely where skylines
-        are near, and sparsely where they are far; see `skyline.survey.lattices`.
+        are near, and sparsely where they are far; see `skyline.survey.adaptive_places`.
     bounds_deg : tuple, optional
         W, S, E, N in degrees; by default all of the terrain.
     progress : callable, optional

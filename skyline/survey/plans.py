@@ -10,16 +10,16 @@ import numpy as np
 
 from skyline.arrays import Float64Array
 from skyline.errors import InputError, swapped_in_words
-from skyline.geodesy.degrees import Bounds, are_bounds, check_bounds
+from skyline.geodesy.bounds import Bounds, are_bounds, check_bounds
 from skyline.geodesy.earth import Curvature
-from skyline.geodesy.frame import Rectangle
+from skyline.geodesy.map_frame import Rectangle
 from skyline.render.context import Releasable
 from skyline.render.horizon import HorizonRenderer, PanoramaRenderer, RenderConfig
 from skyline.render.march import ColumnRenderer
 from skyline.skylines import Views, pixel_size, polyline_vertices
-from skyline.store.header import BEGUN, LOST, PLACES, Columns, StoreHeader, columns_of
+from skyline.store.layout import BEGUN, LOST, PLACES, Columns, StoreHeader, columns_of
 from skyline.store.places import BINS, Places
-from skyline.survey.lattices import (
+from skyline.survey.adaptive_places import (
     LEVELS,
     NODES_AROUND,
     Prices,

@@ -3,8 +3,8 @@
 import numpy as np
 
 from skyline.errors import printable
-from skyline.geodesy.frame import Frame
-from skyline.store.header import PLACES, SCHEMA_VERSION
+from skyline.geodesy.map_frame import Frame
+from skyline.store.layout import PLACES, SCHEMA_VERSION
 from skyline.store.read import open_store
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.products import model_of

@@ -8,7 +8,7 @@ from pathlib import Path
 from skyline.arrays import Progress
 from skyline.errors import InputError, suffix_of
 from skyline.files import check_folder, lies_in_any
-from skyline.geodesy.degrees import Bounds
+from skyline.geodesy.bounds import Bounds
 from skyline.paper.build import build_planned
 from skyline.paper.plan import Plan, PlanConfig
 from skyline.paper.verify import Verification

@@ -8,7 +8,7 @@ import numpy as np
 
 from skyline.arrays import Float32Array, Float64Array, FloatArray
 from skyline.geodesy.earth import Curvature
-from skyline.geodesy.frame import Rectangle
+from skyline.geodesy.map_frame import Rectangle
 from skyline.terrain.heightfield import HeightField
 
 BAND_M = 10_000.0

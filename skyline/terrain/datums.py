@@ -13,7 +13,7 @@ from pyproj import CRS
 from pyproj.database import get_units_map
 
 from skyline.errors import InputError
-from skyline.geodesy.degrees import degrees_in_words
+from skyline.geodesy.bounds import degrees_in_words
 
 GEOID = "geoid"
 ELLIPSOID = "ellipsoid"

@@ -10,7 +10,7 @@ from skyline.terrain.heightfield import HeightField, field_of
 from skyline.terrain.metric_dem import metric_dem
 from skyline.terrain.mosaic import Mosaic, read_mosaic
 from skyline.terrain.provenance import DemOptions
-from skyline.terrain.tiles import open_tile
+from skyline.terrain.raster_tiles import open_tile
 
 Dem = Paths | HeightField
 """A model: its file, its tiles, or the height field read from them."""
@@ -21,7 +21,7 @@ def read_dem(paths: Dem, options: DemOptions | None = None) -> HeightField:
 
     Samples stand at pixel centres, as GDAL places the pixels. Spikes are removed and small voids
     filled on the files' own grid, before anything is resampled. A DEM in a metric CRS whose map is
-    true here (`skyline.geodesy.frame.Frame.untrue_deg`) keeps that grid. Any other, and one in
+    true here (`skyline.geodesy.map_frame.Frame.untrue_deg`) keeps that grid. Any other, and one in
     degrees or feet, or whose axes point south or west, is warped once to the transverse Mercator
     frame centred on it, with every summit as high as it was (`skyline.terrain.resampling.warp`);
     samples of the box around it that lie outside the DEM are NaN and counted nowhere. Heights are

@@ -36,7 +36,7 @@ from skyline.terrain.raster_files import (
     opened_raster,
     unpacked,
 )
-from skyline.terrain.tiles import no_dem
+from skyline.terrain.raster_tiles import no_dem
 
 Paths = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
 """Elevation files, folders or zip archives of them, addresses, or GDAL names: one or several."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from skyline.errors import InputError, MissingFileError
 from skyline.files import write_whole
-from skyline.geodesy.frame import Frame
+from skyline.geodesy.map_frame import Frame
 from skyline.terrain.grid import Grid
 from skyline.terrain.heightfield import HeightField, field_of
 from skyline.terrain.metric_dem import MetricDem

@@ -18,12 +18,12 @@ from numpy.typing import ArrayLike
 
 from skyline.arrays import BoolArray, Float64Array, FloatArray
 from skyline.errors import InputError, printable
-from skyline.geodesy.degrees import Bounds
-from skyline.geodesy.frame import Frame
+from skyline.geodesy.bounds import Bounds
+from skyline.geodesy.map_frame import Frame
 from skyline.terrain.metric_dem import MetricDem, metric_dem
 from skyline.terrain.mosaic import read_mosaic
 from skyline.terrain.provenance import DemOptions, Provenance
-from skyline.terrain.tiles import Tile, array_tile, dataset_tile
+from skyline.terrain.raster_tiles import Tile, array_tile, dataset_tile
 
 Ground = Callable[[Float64Array, Float64Array], Float64Array]
 """Returns the heights in metres at eastings and northings, NaN off the map and on holes."""
@@ -51,7 +51,7 @@ class HeightField:
     spacing_north_m : float
         Distance between neighbouring samples of a column.
     frame : Frame
-        The map, whose angles are true here (`skyline.geodesy.frame.Frame.untrue_deg`).
+        The map, whose angles are true here (`skyline.geodesy.map_frame.Frame.untrue_deg`).
     provenance : Provenance
         The files, and the treatment of their samples.
     """

@@ -5,9 +5,9 @@ from dataclasses import asdict, dataclass
 
 from skyline.arrays import Float32Array
 from skyline.errors import InputError
+from skyline.geodesy.bounds import degrees_in_words, in_turn
 from skyline.geodesy.crs import is_metric, is_upright, off_area_deg, to_wgs84
-from skyline.geodesy.degrees import degrees_in_words, in_turn
-from skyline.geodesy.frame import Frame
+from skyline.geodesy.map_frame import Frame
 from skyline.terrain.grid import Grid
 from skyline.terrain.mosaic import Mosaic
 from skyline.terrain.provenance import DemOptions, Provenance

@@ -12,8 +12,8 @@ from skyline.arrays import BoolArray, Float32Array
 from skyline.errors import InputError
 from skyline.terrain.datums import ELLIPSOID, GEOID, merged_conventions
 from skyline.terrain.grid import MAX_SAMPLES, Grid, full_turn
+from skyline.terrain.raster_tiles import Tile
 from skyline.terrain.repair import ABSURD_M
-from skyline.terrain.tiles import Tile
 
 GRID_TOLERANCE = 0.01
 """Greatest distance of a tile's samples from the grid of the first tile, in samples."""

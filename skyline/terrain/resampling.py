@@ -15,7 +15,7 @@ from pyproj import CRS, Transformer
 from skyline.arrays import Float32Array, Float64Array, Int64Array
 from skyline.errors import InputError
 from skyline.geodesy.crs import transformer
-from skyline.geodesy.frame import Frame
+from skyline.geodesy.map_frame import Frame
 from skyline.terrain.grid import MAX_SAMPLES, STRIP_SAMPLES, Grid, full_turn, row_strips
 
 POSITION_TOLERANCE = 1e-3

@@ -19,7 +19,10 @@ HOOKS = Path(__file__).parents[2] / ".ci" / "site_pages.py"
     [
         ("7<!-- skyline.skylines.DEFAULT_WIDTH -->", "640<!-- skyline.skylines.DEFAULT_WIDTH -->"),
         ("1,0<!-- skyline.skylines.MAX_WIDTH -->", "16,384<!-- skyline.skylines.MAX_WIDTH -->"),
-        ("1<!-- skyline.geodesy.frame.TRUE_DEG -->", "0.05<!-- skyline.geodesy.frame.TRUE_DEG -->"),
+        (
+            "1<!-- skyline.geodesy.map_frame.TRUE_DEG -->",
+            "0.05<!-- skyline.geodesy.map_frame.TRUE_DEG -->",
+        ),
         ("7<!-- skyline.skylines.HEADINGS.3 -->", "3<!-- skyline.skylines.HEADINGS.3 -->"),
         (
             "9 %<!-- skyline.MatchConfig.fov_sd_share:.1% -->",
@@ -33,7 +36,8 @@ def test_a_number_before_the_path_of_a_constant_becomes_its_value(page, written)
 
 
 @pytest.mark.parametrize(
-    "path", ["skyline.nowhere.NUMBER", "skyline.skylines.NOTHING", "skyline.geodesy.frame.Frame"]
+    "path",
+    ["skyline.nowhere.NUMBER", "skyline.skylines.NOTHING", "skyline.geodesy.map_frame.Frame"],
 )
 def test_a_path_to_no_number_is_refused_with_its_page_and_line(path):
     with pytest.raises(InputError, match=rf"^docs/page\.md names .*`{path}` in line 3"):

@@ -19,7 +19,7 @@ from scenes import NORTH_M, SPACING_M, WEST_M, fractal, write_dem
 from skyline import read_dem, stand_on
 from skyline.store.read import open_store
 from skyline.survey.build import build_store
-from skyline.survey.parts import PartSize
+from skyline.survey.part_files import PartSize
 from skyline.survey.plans import JobSize
 from skyline_bench.truth import oracle
 

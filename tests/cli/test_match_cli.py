@@ -16,7 +16,7 @@ from commands import assert_refused, csv_of, lonlat_of, off_m
 from scenes import write_dem
 
 from skyline.errors import ContextError
-from skyline.geodesy.frame import Frame
+from skyline.geodesy.map_frame import Frame
 from skyline.match.matcher import Matcher
 from skyline.report.results_file import ResultsFile
 from skyline.store.read import open_store

@@ -28,15 +28,15 @@ from skyline.store.merge import merge_stores
 from skyline.store.places import BINS, Places
 from skyline.store.read import open_store, parts_folder
 from skyline.store.write import write_store
-from skyline.survey import lattices, plans
+from skyline.survey import adaptive_places, plans
 from skyline.survey.build import build_places, build_store
 from skyline.survey.cluster import runner_of
-from skyline.survey.parts import PartSize
+from skyline.survey.part_files import PartSize
 from skyline.survey.plans import JobSize, RenderingPlan, uniform_grid
 
 SPACING_M = 120.0
 PLACES = 1500
-BESIDE = lattices.NODES_AROUND * 6
+BESIDE = adaptive_places.NODES_AROUND * 6
 """Viewpoints round the six blocks of the terrain, which are rendered and belong to other blocks."""
 CONFIG = RenderConfig(width=64)
 
@@ -257,7 +257,7 @@ import time
 from pathlib import Path
 from skyline import read_dem
 from skyline.survey.build import build_store
-from skyline.survey.parts import PartSize
+from skyline.survey.part_files import PartSize
 from skyline.survey.plans import JobSize, PlacePlan
 
 def progress(done, total):

@@ -9,7 +9,7 @@ from scenes import NORTH_M, WEST_M, at_deg
 from skyline import MatchConfig, Matcher, Narrowing, build_places, horizon
 from skyline.camera import Projection
 from skyline.errors import InputError
-from skyline.geodesy.degrees import in_turn
+from skyline.geodesy.bounds import in_turn
 from skyline.match.solver import TEMPERATURE
 from skyline.photo.skyline import Lens, PhotoSkyline
 from skyline_bench.queries.synthetic import QueryConfig, make_queries, make_queries_together

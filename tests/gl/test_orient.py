@@ -10,7 +10,7 @@ from test_matcher import MIDDLE, SHARP
 
 from skyline import Orienter, orient
 from skyline.errors import InputError
-from skyline.geodesy.degrees import in_turn
+from skyline.geodesy.bounds import in_turn
 from skyline.photo.exif import NotedPlace
 from skyline.photo.skyline import PhotoSkyline
 from skyline_bench.queries.synthetic import make_queries

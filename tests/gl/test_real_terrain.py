@@ -5,7 +5,7 @@ import pytest
 from scenes import at_m, scattered
 
 from skyline.geodesy.earth import Curvature
-from skyline.geodesy.frame import Frame
+from skyline.geodesy.map_frame import Frame
 from skyline.render.depth import DepthRenderer
 from skyline.terrain.dem import read_dem
 from skyline.terrain.heightfield import HeightField

@@ -6,9 +6,9 @@ from dataclasses import fields, replace
 import h5py
 import numpy as np
 
-from skyline.geodesy.frame import Frame
+from skyline.geodesy.map_frame import Frame
 from skyline.skylines import DEFAULT_MAX_KEYPOINTS, NO_KEYPOINT, Views
-from skyline.store.header import PLACES, RENDERINGS, StoreHeader, columns_of
+from skyline.store.layout import PLACES, RENDERINGS, StoreHeader, columns_of
 from skyline.store.places import BINS, DISTANCE_BINS, PHASE_BINS, Places
 from skyline.store.write import write_store
 

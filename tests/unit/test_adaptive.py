@@ -8,14 +8,14 @@ from scenes import field_of
 
 from skyline.skylines import Horizons
 from skyline.store.places import BINS, Places
-from skyline.survey import lattices
-from skyline.survey.lattices import (
+from skyline.survey import adaptive_places
+from skyline.survey.adaptive_places import (
     BLOCK_M,
     Sights,
     blocks_of,
     planned_places,
 )
-from skyline.survey.losses import expected_finds, lost_shares
+from skyline.survey.expected_losses import expected_finds, lost_shares
 
 AREA = (0.0, 0.0, 2.0 * BLOCK_M, BLOCK_M)
 SPACINGS_M = 1280.0 / 2.0 ** (np.arange(15) / 2.0)
@@ -80,8 +80,8 @@ class TestPrice:
 
     @pytest.mark.parametrize("loss", [0.05, 0.35])
     def test_it_suits_the_loss(self, plain, loss):
-        price = lattices.Prices(plain, AREA, self.look).of_loss(loss)
-        lost = self.look(lattices.spread_over(plain, AREA)[0]).lost
+        price = adaptive_places.Prices(plain, AREA, self.look).of_loss(loss)
+        lost = self.look(adaptive_places.spread_over(plain, AREA)[0]).lost
 
         def lost_at(price):
             level = np.argmin(lost + price / SPACINGS_M**2, axis=1)
@@ -92,11 +92,11 @@ class TestPrice:
 
     @pytest.mark.parametrize("number", [1000, 20_000])
     def test_it_suits_the_number(self, plain, number):
-        price = lattices.Prices(plain, AREA, self.look).of_number(number)
+        price = adaptive_places.Prices(plain, AREA, self.look).of_number(number)
         places = planned(plain, near_in_the_west, price)
         # Spacings are steps of the root of 2, so numbers are steps of 2 where all is alike.
         assert number <= 1.05 * len(places) <= 2.1 * number
-        assert lattices.Prices(plain, AREA, self.look).places(price) == pytest.approx(
+        assert adaptive_places.Prices(plain, AREA, self.look).places(price) == pytest.approx(
             len(places), rel=0.1
         )
 
@@ -113,8 +113,8 @@ class TestPlan:
 
     def test_it_is_dense_where_skylines_are_near(self, plain):
         look = looking(near_in_the_west)
-        price = lattices.Prices(plain, AREA, look).of_loss(0.15)
-        lost = look(lattices.spread_over(plain, AREA)[0]).lost
+        price = adaptive_places.Prices(plain, AREA, look).of_loss(0.15)
+        lost = look(adaptive_places.spread_over(plain, AREA)[0]).lost
         wanted = SPACINGS_M[np.argmin(lost + price / SPACINGS_M**2, axis=1)]
         places = planned(plain, near_in_the_west, price)
         west = places.easting_m < BLOCK_M

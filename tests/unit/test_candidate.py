@@ -11,8 +11,8 @@ from query_scenes import poses
 from scenes import candidate_at
 from shapely import MultiPolygon, Polygon
 
-from skyline.geodesy.frame import Frame
-from skyline.geodesy.rings import lonlat_rings
+from skyline.geodesy.antimeridian import lonlat_rings
+from skyline.geodesy.map_frame import Frame
 from skyline.pose import Ellipse, view_wedge_m
 
 MIDDLES = {

@@ -9,7 +9,7 @@ from rasterio.transform import Affine, from_origin
 from scenes import UTM, at_deg, write_dem
 
 from skyline.errors import InputError
-from skyline.geodesy.frame import TRUE_DEG, Frame
+from skyline.geodesy.map_frame import TRUE_DEG, Frame
 from skyline.terrain.dem import read_dem, read_files
 from skyline.terrain.field_files import save_field
 from skyline.terrain.grid import Grid

@@ -12,7 +12,7 @@ from rasterio.warp import Resampling, calculate_default_transform, reproject
 from scenes import UTM, write_dem
 
 from skyline.errors import InputError
-from skyline.geodesy.frame import TRUE_DEG
+from skyline.geodesy.map_frame import TRUE_DEG
 from skyline.terrain.datums import metres_per
 from skyline.terrain.dem import read_dem
 from skyline.terrain.heightfield import HeightField

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from pyproj import Geod
 
 from skyline.errors import InputError
-from skyline.geodesy.degrees import check_bounds, width_deg
-from skyline.geodesy.frame import TRUE_DEG, Frame
+from skyline.geodesy.bounds import check_bounds, width_deg
+from skyline.geodesy.map_frame import TRUE_DEG, Frame
 
 WGS84 = Geod(ellps="WGS84")
 

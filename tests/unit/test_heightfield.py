@@ -11,7 +11,7 @@ from hypothesis.extra import numpy as hnp
 from scenes import FRAME, at_m, field_of
 
 from skyline.errors import InputError
-from skyline.geodesy.frame import Frame
+from skyline.geodesy.map_frame import Frame
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import stand_at
 

@@ -29,9 +29,9 @@ from store_rows import (
 )
 
 from skyline.errors import InputError, MissingFileError, StoreError, StoreMismatchError
-from skyline.geodesy.frame import Frame
+from skyline.geodesy.map_frame import Frame
 from skyline.store.check import check_store, examine
-from skyline.store.header import columns_of, refuse_mismatch
+from skyline.store.layout import columns_of, refuse_mismatch
 from skyline.store.merge import merge_stores, repair_store
 from skyline.store.places import Places
 from skyline.store.read import is_store, open_store, parts_folder

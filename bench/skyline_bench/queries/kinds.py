@@ -11,7 +11,7 @@ import numpy as np
 from scipy import ndimage
 
 from skyline.errors import InputError
-from skyline.geodesy.frame import Rectangle
+from skyline.geodesy.map_frame import Rectangle
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.provenance import Provenance
 from skyline_bench.queries.pinhole import CYLINDER, FISHEYES

@@ -17,7 +17,7 @@ from scipy import ndimage
 from skyline.arrays import Float64Array, IntArray
 from skyline.camera import distorted
 from skyline.errors import InputError
-from skyline.geodesy.frame import Rectangle
+from skyline.geodesy.map_frame import Rectangle
 from skyline.match.rays import Rays
 from skyline.photo.skyline import PhotoSkyline
 from skyline.render.horizon import PanoramaRenderer

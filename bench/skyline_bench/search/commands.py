@@ -16,13 +16,13 @@ from skyline.arrays import Progress
 from skyline.cli.options import parse_bounds
 from skyline.cli.terminal import Terminal
 from skyline.errors import InputError, entry_named
-from skyline.geodesy.degrees import Bounds
-from skyline.geodesy.frame import Rectangle
+from skyline.geodesy.bounds import Bounds
+from skyline.geodesy.map_frame import Rectangle
 from skyline.match.matcher import FULL
 from skyline.paper.plan import PlanConfig
 from skyline.paper.strategies import PLANNERS
 from skyline.plugins import names_of
-from skyline.store.header import PLACES, RENDERINGS
+from skyline.store.layout import PLACES, RENDERINGS
 from skyline.survey.plans import map_bounds
 from skyline.terrain.dem import read_dem
 from skyline.terrain.heightfield import HeightField

@@ -13,14 +13,14 @@ import numpy as np
 from skyline import build_places, build_uniform
 from skyline.arrays import Progress
 from skyline.errors import InputError
-from skyline.geodesy.degrees import Bounds
+from skyline.geodesy.bounds import Bounds
 from skyline.paper.build import build_planned
 from skyline.paper.plan import PlanConfig
 from skyline.skylines import HEADINGS
-from skyline.store.header import PLACES, RENDERINGS
+from skyline.store.layout import PLACES, RENDERINGS
 from skyline.store.places import Places
 from skyline.store.read import open_store, parts_folder
-from skyline.survey.losses import expected_finds
+from skyline.survey.expected_losses import expected_finds
 from skyline.survey.plans import map_bounds, uniform_grid
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.measuring import timed

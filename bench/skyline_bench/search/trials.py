@@ -15,11 +15,11 @@ from scipy.stats import binomtest
 
 from skyline import JointResult, Matcher, MatchResult, Narrowing
 from skyline.errors import InputError
-from skyline.geodesy.degrees import in_turn
+from skyline.geodesy.bounds import in_turn
 from skyline.match.config import MatchConfig
 from skyline.match.matcher import FULL
 from skyline.pose import RIGHT_WITHIN_M, ROUGHLY_WITHIN_M, Poses
-from skyline.store.header import PLACES, RENDERINGS
+from skyline.store.layout import PLACES, RENDERINGS
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.measuring import Row, timed
 from skyline_bench.queries.kinds import Query, distance_m

@@ -15,9 +15,9 @@ from numpy.typing import ArrayLike
 from pyproj import Geod, Transformer
 
 from skyline.arrays import Float64Array
-from skyline.geodesy.degrees import in_turn
+from skyline.geodesy.bounds import in_turn
 from skyline.geodesy.earth import Curvature
-from skyline.geodesy.frame import Frame
+from skyline.geodesy.map_frame import Frame
 from skyline.skylines import HEADINGS, columns_u, pixel_size
 from skyline.terrain.dem import read_dem
 from skyline.terrain.heightfield import HeightField

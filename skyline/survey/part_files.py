@@ -19,7 +19,7 @@ from skyline.arrays import Complex128Array
 from skyline.errors import StoreError
 from skyline.skylines import HEADINGS
 from skyline.store.check import is_whole
-from skyline.store.header import RENDERINGS, Columns, StoreHeader, explained
+from skyline.store.layout import RENDERINGS, Columns, StoreHeader, explained
 from skyline.store.read import open_store
 from skyline.store.write import write_store
 from skyline.survey.plans import JobRenderer

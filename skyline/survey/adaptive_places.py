@@ -15,10 +15,10 @@ import numpy as np
 
 from skyline.arrays import Float64Array, Int64Array, IntArray, Rows
 from skyline.errors import InputError
-from skyline.geodesy.frame import Rectangle
+from skyline.geodesy.map_frame import Rectangle
 from skyline.skylines import Horizons
 from skyline.store.places import Places
-from skyline.survey.losses import lost_shares
+from skyline.survey.expected_losses import lost_shares
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints, stand_where_possible
 

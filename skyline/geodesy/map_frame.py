@@ -13,8 +13,8 @@ from pyproj import CRS, Geod, Transformer
 
 from skyline.arrays import Complex128Array, Float64Array
 from skyline.errors import InputError
+from skyline.geodesy.bounds import Bounds, check_bounds, width_deg
 from skyline.geodesy.crs import is_metric, parse_crs, transformer, without_vertical
-from skyline.geodesy.degrees import Bounds, check_bounds, width_deg
 
 Rectangle = tuple[float, float, float, float]
 """West, south, east, north in metres of a frame."""

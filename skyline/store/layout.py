@@ -26,9 +26,9 @@ from numpy.typing import NDArray
 
 from skyline.arrays import UInt8Array
 from skyline.errors import SkylineError, StoreError, StoreMismatchError
-from skyline.geodesy.degrees import Bounds
+from skyline.geodesy.bounds import Bounds
 from skyline.geodesy.earth import Curvature
-from skyline.geodesy.frame import Frame
+from skyline.geodesy.map_frame import Frame
 from skyline.skylines import DEFAULT_MAX_KEYPOINTS, Views, check_width
 from skyline.store.places import BINS, DISTANCE_BINS, PHASE_BINS, PLACE_CODING, Places
 from skyline.terrain.dem import Dem, read_dem

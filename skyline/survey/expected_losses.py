@@ -12,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 
 from skyline.arrays import Float32Array, Float64Array
-from skyline.store.place_map import PlaceSource
+from skyline.store.mapped_places import PlaceSource
 
 
 @dataclass(frozen=True, slots=True)

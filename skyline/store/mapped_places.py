@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from skyline.arrays import Int64Array, IntArray
 from skyline.errors import InputError, StoreError
-from skyline.store.header import REBUILD, StoreHeader, checksums_of_bytes
+from skyline.store.layout import REBUILD, StoreHeader, checksums_of_bytes
 from skyline.store.places import Places
 
 Offsets = dict[str, Int64Array]

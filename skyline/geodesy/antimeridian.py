@@ -3,7 +3,7 @@
 import numpy as np
 
 from skyline.arrays import Float64Array
-from skyline.geodesy.frame import Frame
+from skyline.geodesy.map_frame import Frame
 
 
 def lonlat_rings(outline_m: Float64Array, frame: Frame) -> list[Float64Array]:
