@@ -52,7 +52,6 @@ class PhotoCurve:
     patches: Float32Array
     """(Q, S) float32. Local skylines relative to their keypoints; NaN where unknown."""
     pitch_deg: float
-    """The assumed pitch."""
 
     @classmethod
     def of(cls, pitch_deg: float, y: Float64Array, weight: Float64Array) -> Self:
