@@ -35,7 +35,6 @@ _TOGETHER = {
 """Columns of each field of a narrowing; a row fills either all columns of a field or none."""
 
 _NUMBERS = ("fov_deg", "fov_sd_share", "eye_height_m", *chain.from_iterable(_TOGETHER.values()))
-"""Columns of numbers."""
 
 _EXPECTED = "expected a list with a column `path`, or a trace of a skyline"
 

@@ -1,11 +1,11 @@
 """The areas that `locate` keeps: elevation tiles, and a store of places.
 
-An area is the folder ``CACHE/areas/ORIGIN/W_S_E_N`` with ``tiles/``, unless the user gave the DEM,
-``places-DIGEST.h5``, and ``places-DIGEST.terrain``, the elevation model as it was read. ORIGIN
-contains a digest of the source. If the user gave the DEM, it contains a digest of the names, sizes
-and times of its files and of the files that GDAL reads beside them. DIGEST covers everything else
-on which a store's rows depend. A store appears when it is finished, so a search that finds one
-needs no server.
+An area is the folder ``CACHE/areas/ORIGIN/W_S_E_N``. It holds the store, ``places-DIGEST.h5``, and
+the elevation model as it was read, ``places-DIGEST.terrain``; also ``tiles/``, unless the user gave
+the DEM. ORIGIN contains a digest of the source. If the user gave the DEM, it contains a digest of
+the names, sizes and times of its files and of the files that GDAL reads beside them. DIGEST covers
+everything else on which a store's rows depend. A store appears when it is finished, so a search
+that finds one needs no server.
 """
 
 import errno
@@ -141,10 +141,10 @@ def prepare_area(
 ) -> CachedArea:
     """Return an area from the cache, which is built if it is missing.
 
-    ``dem`` are elevation files, or folders of them; by default tiles of ``source`` are fetched, a
-    source of `fetch_dem`, by default ``$SKYLINE_DEM_SOURCE``, else Copernicus. Raises `InputError`
-    where the DEM does not cover the area, there is only sea, or the cache cannot be written, and
-    `FetchError` where a server fails.
+    ``dem`` are elevation files, or folders of them. Without it, tiles are fetched from ``source``,
+    a source of `fetch_dem`: by default ``$SKYLINE_DEM_SOURCE``, else Copernicus. Raises
+    `InputError` where the DEM does not cover the area, there is only sea, or the cache cannot be
+    written, and `FetchError` where a server fails.
     """
     check_bounds(area.built)
     files = dem_names(dem)
@@ -218,7 +218,7 @@ def _digest(*parts: object) -> str:
 
 _MAKING = SCHEMA_VERSION, DEFAULT_PLACES, DEFAULT_LOSSES, PLACE_CODING, TRUE_DEG
 _STORE = f"places-{_digest(*_MAKING)}.h5"
-"""Name of a store, which differs between releases that would build another one."""
+"""Name of a store. Releases that would build different stores give it different names."""
 _TERRAIN = str(Path(_STORE).with_suffix(SUFFIX))
 
 
@@ -368,8 +368,7 @@ def _locked(folder: Path, print_note: PrintNote | None = None) -> Iterator[bool]
     """Hold an area's lock for the block, and yield whether it was obtained.
 
     The folder is made if it is missing. With ``print_note`` the function waits for another process,
-    else it gives up at once. A folder that contains only the lock at the end is
-    removed.
+    else it gives up at once. A folder that contains only the lock at the end is removed.
     """
     file = _lock(folder, print_note)
     with nullcontext() if file is None else file:

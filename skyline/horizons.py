@@ -57,8 +57,8 @@ class LocalHorizons(Rows):
         Bits: 1, the horizon lies on the border of the data; 2, a hole may hide higher terrain; 4,
         no data.
     surface_deg : (N, A) float32
-        Elevation angle up to which trees and houses may rise, at least that of the horizon; NaN
-        without a surface model.
+        Elevation angle up to which trees and houses may rise, never below the horizon; NaN without
+        a surface model.
     id : (N,) str
         The ``id`` or ``name`` of each place in a file of places; else empty.
     """
@@ -95,7 +95,7 @@ class LocalHorizons(Rows):
         day : date or str
             The 24 hours around noon of the mean sun at the eye; a text such as 2026-12-21.
         place : int, optional
-            Its index, which may be left out if there is only one place.
+            Index of the place; it may be left out if there is only one place.
 
         Returns
         -------
@@ -188,7 +188,7 @@ class LocalHorizons(Rows):
         Parameters
         ----------
         place : int, optional
-            Its index, which may be left out if there is only one place; `to_xarray` has all.
+            Index of the place; it may be left out if there is only one place; `to_xarray` has all.
 
         Returns
         -------

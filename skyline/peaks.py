@@ -2,8 +2,8 @@
 
 The places of a gazetteer are accurate to about a hundred metres, and a grid of heights cuts summits
 off. A peak therefore stands at the highest sample near its named place, with the terrain's height
-there. It is visible if nothing on the straight line to it stands above it, up to 150 m from it:
-nearer ground is the peak's own.
+there. It is visible if no ground rises above the straight line to it. Ground within 150 m of a peak
+is the peak's own, and does not hide it.
 """
 
 import json
@@ -33,8 +33,8 @@ from skyline.terrain.summits import prominence_m
 from skyline.terrain.viewpoints import Viewpoints, is_on_map
 
 SUMMIT_RADIUS_M = 150.0
-"""Distance from a named place within which its summit is searched, and within which terrain does
-not hide the summit."""
+"""Greatest distance of a summit from its named place; terrain as near to a summit does not hide
+it."""
 UNDERFOOT_SAMPLES = 0.35
 """Ground nearer than this many samples hides nothing: the model is too coarse there."""
 _FOOT_M = 0.3048
@@ -95,7 +95,8 @@ def read_peaks(path: str | Path, frame: Frame) -> Peaks:
         ``ele``. Any other file is CSV with the columns ``name`` and ``lon,lat`` (degrees, WGS 84)
         or ``easting,northing`` (metres, in ``frame``), and optionally ``height_m`` or ``ele``,
         which may be empty. Heights are read by `height_of_ele`; one warning counts the peaks whose
-        height cannot be read. Features and rows without a name are skipped, as are other columns.
+        height cannot be read. Features and rows without a name are skipped, and other columns are
+        ignored.
 
     Raises
     ------
@@ -144,8 +145,8 @@ def find_place(path: str | Path, name: str) -> tuple[float, float]:
 
     Capitals do not count.
 
-    Raises `InputError` for a name that is not there or there several times, for a gazetteer in a
-    frame's metres, and as `read_peaks`.
+    Raises `InputError` if no place or more than one has the name, or if the gazetteer is in a
+    frame's metres; other errors are raised as by `read_peaks`.
     """
     names, (lon, lat, _), is_lonlat = _read(path)
     if not is_lonlat:
@@ -239,7 +240,7 @@ def _check_degrees(path: str | Path, read: Any) -> None:
 def _named_point(feature: Any) -> _Point | None:
     """Return a feature's name, longitude, latitude and ``ele``.
 
-    It is None unless the feature is a named point.
+    Returns None if the feature is no named point.
     """
     try:
         properties = feature["properties"]
@@ -293,7 +294,7 @@ class Sighting:
     def label(self) -> str:
         """The name, with the height if the gazetteer has one.
 
-        A name with letters from right to left is between marks that keep numbers behind it.
+        Marks enclose a name that is written from right to left, so that the height stays behind it.
         """
         is_turned = any(bidirectional(letter) in _FROM_RIGHT for letter in self.name)
         name = f"{_FROM_LEFT}{self.name}{_FROM_LEFT}" if is_turned else self.name
@@ -399,9 +400,9 @@ def highest_between_deg(
 ) -> Float64Array:
     """Return the highest elevation angle of the terrain on each ray.
 
-    The K rays are those of one eye. The angle is -90 without data. It lies where a ray, followed
-    along its grid azimuth between two distances (K,), crosses an edge of the surface, which is a
-    plane between two edges.
+    Each of one eye's K rays is followed along its grid azimuth between two distances (K,). The
+    surface is a plane between two edges, so the highest angle is at an edge. It is -90 without
+    data.
     """
     away_m, is_between = edge_crossings_m(terrain, eye, grid_rad, near_m, far_m)
     up_deg = ground_elevation_deg(terrain, eye, curvature, grid_rad, away_m)

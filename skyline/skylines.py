@@ -38,7 +38,8 @@ NO_KEYPOINT = 65535
 DEFAULT_MAX_KEYPOINTS = 128
 
 _NEARER = 0.9
-"""Share of a horizon's distance. Ground that ends there is 0.6 % of the dip below the horizon."""
+"""Only a skyline nearer than this share of a horizon's distance is raised to it. Ground that ends
+there lies below the horizon by 0.6 % of the dip."""
 
 
 def check_width(width: int) -> int:
@@ -51,10 +52,7 @@ def check_width(width: int) -> int:
 
 
 def columns_u(width: int) -> Float64Array:
-    """Return the abscissa u of each column's centre, (width,).
-
-    It is from -1 to 1.
-    """
+    """Return the abscissa u, -1 to 1, of each column's centre, (width,)."""
     return (2.0 * np.arange(width) + 1.0) / width - 1.0
 
 
@@ -136,12 +134,12 @@ def raised_to_dip(
 ) -> Views:
     """Return views with skylines raised to the horizon of the lowest ground.
 
-    Past the border of a DEM the Earth goes on. It is taken to lie no lower than ``lowest_m``, the
-    lowest sample: so it does at sea. Ground at h below the eye has its horizon at the distance
-    sqrt(h / c), at a tangent of -2 sqrt(h c), where c is the drop over the square of the distance.
-    A skyline that ends lower and nearer, at the border or at a hole, is raised to that horizon, and
-    flagged as truncated. A flat Earth has no such horizon. ``abscissa`` are those of the columns,
-    (W,) or (N, W).
+    Past the border of a DEM the Earth goes on. Its ground is taken to lie no lower than
+    ``lowest_m``, the lowest sample; this is true at sea. Ground at h below the eye has its horizon
+    at the distance sqrt(h / c), at a tangent of -2 sqrt(h c), where c is the drop over the square
+    of the distance. A skyline that ends lower and nearer, at the border or at a hole, is raised to
+    that horizon, and flagged as truncated. A flat Earth has no such horizon. ``abscissa`` (W,) or
+    (N, W) has u of each column.
     """
     if curvature.drop_per_m2 <= 0.0:
         return views
@@ -168,9 +166,9 @@ def joined_views(
 ) -> tuple[Float64Array, Float64Array]:
     """Return elevation tangents and horizontal distances (M, B) of views joined by eye.
 
-    ``row`` (N,) is the eye, of ``count`` M, that each view belongs to. Directions without a view,
-    or without data, are NaN. On the border of the data and behind a hole the skyline is a lower
-    bound. It is used as it is: farther terrain may rise above it in the photo, as a tree may
+    ``row`` (N,) is the index of each view's eye; there are ``count`` eyes (M). Directions without a
+    view, or without data, are NaN. On the border of the data and behind a hole the skyline is a
+    lower bound. It is used as it is: farther terrain may rise above it in the photo, as a tree may
     anywhere.
     """
     y, nearest, cosine = quadrants(views, bins, FLAG_NO_DATA, np.float64)
@@ -187,8 +185,8 @@ def quadrants(
 ) -> tuple[NDArray[Float], IntArray, NDArray[Float]]:
     """Return tangents of elevation (N, B / 4) at the bins of views.
 
-    They are NaN in columns with ``unusable`` flags. Also return the nearest column of each bin and
-    the cosine of its azimuth, (B / 4,) each. Azimuths count from the heading and begin 45 degrees
+    They are NaN in columns with ``unusable`` flags. Each bin's nearest column and the cosine of its
+    azimuth, (B / 4,) each, are returned too. Azimuths count from the heading and begin 45 degrees
     left of it. The first bin lies half a column left of the first column's centre and is
     extrapolated; the bin 45 degrees to the right belongs to the next heading.
     """
@@ -268,10 +266,10 @@ def polyline_vertices(
     samples are vertices, so a gap splits the polyline and the tolerance holds in each run on its
     own.
 
-    Where a curve has more than ``max_vertices``, the most significant stay. The significance of a
-    vertex is the miss that made it, but never more than that of the vertex whose segment it
-    splits: the rest is the polyline of a coarser tolerance. The ends of runs come first, those of
-    longer runs before others.
+    Where a curve has more than ``max_vertices``, the most significant stay. A vertex is as
+    significant as the miss that made it is large, but never more than the vertex whose segment it
+    splits; so the vertices that stay are the polyline of a coarser tolerance. The ends of runs come
+    first, those of longer runs before others.
 
     Curves are (N, W), W below 65535; NaN marks a gap. The tolerance is in their unit; 0 keeps every
     bend. Columns (N, max_vertices) ascend and are padded with `NO_KEYPOINT`.
@@ -327,10 +325,7 @@ def _split(
 def _worst_miss(
     flat: Float64Array, left: IntArray, right: IntArray
 ) -> tuple[Float64Array, IntArray]:
-    """Return each segment's greatest distance to its chord, and where.
-
-    Distances are vertical.
-    """
+    """Return each segment's greatest vertical distance to its chord, and where."""
     count = right - left - 1
     start = np.cumsum(count) - count
     segment = np.repeat(np.arange(len(left)), count)

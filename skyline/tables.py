@@ -30,7 +30,6 @@ _OTHER_NAMES = {
 }
 """Usual names of columns, and the names by which Skyline replaces them."""
 _DECIMAL_COMMA = re.compile(r"[-+]?\d[\d.]*,\d+")
-"""A number with a decimal comma."""
 _THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2}(?:\.\d{3})+(?:,\d+)?(?![\d.,])")
 """A number with points between thousands."""
 _FORMULA = re.compile(r"'*[-=+@\uff0d\uff1d\uff0b\uff20]")
@@ -63,10 +62,7 @@ class Row:
         return self["id"] or self["name"]
 
     def with_point(self, column: str) -> str:
-        """Return a number's text with a decimal point.
-
-        Points between thousands are taken off.
-        """
+        """Return a number's text with a decimal point, without points between thousands."""
         text = self[column]
         if not self.has_decimal_commas:
             return text
@@ -114,10 +110,7 @@ class Table:
             )
 
     def first_in(self, *choices: tuple[str, ...], expected: str) -> tuple[str, ...]:
-        """Return the first set of columns that the table has.
-
-        Raises `InputError` for none.
-        """
+        """Return the first set of columns present; raises `InputError` for none."""
         for names in choices:
             if set(names) <= set(self.header):
                 return names

@@ -52,7 +52,6 @@ class PhotoCurve:
     patches: Float32Array
     """(Q, S) float32. Local skylines relative to their keypoints; NaN where unknown."""
     pitch_deg: float
-    """The assumed pitch."""
 
     @classmethod
     def of(cls, pitch_deg: float, y: Float64Array, weight: Float64Array) -> Self:
@@ -147,8 +146,8 @@ def chamfer_px(a: Float32Array, b: Float32Array, step_px: float) -> Float32Array
 
     The samples of a patch are points (step_px * i, value). Each point of a patch has a distance to
     the nearest point of the other; the distance of the pair is the mean of these over both patches.
-    Only offsets at which both patches are known (not NaN) take part; it is infinite for a pair
-    without any.
+    Only offsets at which both patches are known (not NaN) take part; the distance of a pair without
+    any is infinite.
     """
     pairs = 4096  # Compared at a time: the arrays of one step stay in the processor's cache.
     return np.concatenate(
@@ -193,10 +192,10 @@ def nearest_patches(
     vertical difference, which products of matrices give. Curves that are near by Chamfer distance
     are near vertically unless they are steep, so the four rarely miss the nearest.
 
-    The photo has ``patches`` (Q, S), the locations (C, K, S), in px; NaN where unknown, all NaN
-    where a location has fewer than K. Pairs with fewer than ``min_known`` common offsets are not
-    compared. Returned are, for each location, indices (C, Q) into its K patches, and distances
-    (C, Q), infinite where nothing could be compared.
+    ``patches`` (Q, S) are the photo's, ``stored`` (C, K, S) the locations', in px. Unknown samples
+    are NaN; where a location has fewer than K patches, the rest are all NaN. Pairs with fewer than
+    ``min_known`` common offsets are not compared. The result has, for each location, indices (C, Q)
+    into its K patches, and distances (C, Q), which are infinite where nothing could be compared.
     """
     is_known = np.isfinite(patches)
     is_stored = np.isfinite(stored)

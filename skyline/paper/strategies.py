@@ -95,7 +95,7 @@ class Coverage:
         self.areas = np.concatenate([self.areas, areas])
 
     def gains(self, sites: Int64Array, areas: BoolArray) -> Int64Array:
-        """Return how many sites areas (N, K, K) at sites (N) would newly cover."""
+        """Return the number of sites that each area (N, K, K) would newly cover."""
         gained = self._open_windows[self.sites.row_col(sites)] & areas
         return np.asarray(np.count_nonzero(gained, axis=(1, 2)), dtype=np.int64)
 
@@ -107,7 +107,7 @@ class Coverage:
 
     @property
     def overlap(self) -> int:
-        """The paper's criterion (B): inclusions in tolerance areas less covered sites."""
+        """The paper's criterion (B): inclusions of sites in areas, minus covered sites."""
         covered = self.sites.valid & ~self.uncovered
         return int(np.count_nonzero(self.areas)) - int(np.count_nonzero(covered))
 
@@ -117,7 +117,7 @@ class Problem:
     """A region to cover along one heading: all that a planner knows."""
 
     coverage: Coverage
-    """Has the views rendered so far whenever a planner goes on. The regions of one heading
+    """The views rendered so far, up to date whenever a planner goes on. All regions of one heading
     share it."""
     region: BoolArray
     """(rows, cols) bool. The sites to cover, from which viewpoints are chosen."""
@@ -148,7 +148,7 @@ class Planner(Protocol):
         """Yield sites (n,) of the problem's region to render, by their indices.
 
         When the planner goes on, ``problem.coverage`` has the tolerance areas of these views. It
-        ends when the region is covered. Whatever it draws comes from ``generator``, so that the
+        ends when the region is covered. All its random choices come from ``generator``, so that the
         same seed gives the same plan.
         """
 
@@ -258,8 +258,8 @@ def lpov(problem: Problem, generator: np.random.Generator) -> Iterator[Int64Arra
 
     The distances of a site from the two ends are in proportion to the linear sizes (square roots of
     the areas) of their tolerance areas. The paper calls the weights proportional to an end's size.
-    As weights of the ends themselves they would draw sites towards large areas, contrary to the
-    effect that the paper describes: few viewpoints where areas are large.
+    Taken as weights of the ends' positions, they would draw sites towards large areas, but the
+    paper describes the opposite effect: few viewpoints where areas are large.
     """
     yield from _preselected(problem, generator, _locate, ranked=64)
 
@@ -283,7 +283,7 @@ def _preselected(
 ) -> Iterator[Int64Array]:
     """Select among the sites that ``mark`` marks, as AROV does.
 
-    Where there are more than ``ranked``, so many are drawn from them.
+    If more than ``ranked`` are uncovered, only ``ranked`` of them, drawn at random, are compared.
     """
     coverage = problem.coverage
     marked = np.zeros(problem.coverage.sites.valid.shape, dtype=bool)
@@ -302,8 +302,8 @@ def _preselected(
 def interpolated_areas(coverage: Coverage, sites: Int64Array) -> BoolArray:
     """Return tolerance areas (N, K, K) of sites (N), interpolated between views.
 
-    The four nearest rendered views count, each with a weight that falls with its distance. A
-    location is inside where views with at least half of the weight hold it. Before anything is
+    The four nearest rendered views count, each with a weight that falls with its distance. A site
+    is inside if the areas of views with at least half of the weight contain it. Before anything is
     rendered an area is the site itself.
     """
     grid = coverage.sites

@@ -21,7 +21,7 @@ from skyline.photo.xmp import NO_XMP, Xmp
 _ERROR_PER_DOP_M = 5.0
 """Error of the ranges that a receiver measures; the satellites' geometry (DOP) multiplies it."""
 _MOST_ERROR_M = 10_000.0
-"""Error beyond which a position names a region: the place is not searched for so far away."""
+"""A position with a greater error names a region: no place is searched for that far away."""
 _ABOVE_TAKEOFF = ("RelativeAltitude", "AboveGroundAltitude")
 """XMP's names of the height above the take-off. DJI, Autel and Skydio write the first, each in a
 namespace of its own, Parrot and senseFly the second in Pix4D's (OpenAthena and TinyEXIF read

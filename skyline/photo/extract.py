@@ -2,9 +2,10 @@
 
 A skyline is one border row per column. A network gives the odds of the border in every pixel. A
 path is cheap where the network expects the skyline and where there is an edge, and if it is not
-steep; dynamic programming finds the cheapest path exactly, at about 0.4 million pixels (up to 1 of
-a panorama). It is then refined to sub-pixel in a narrow band of the full photo. A column is trusted
-if the network gives a high probability that the skyline runs along the path.
+steep; dynamic programming finds the cheapest path exactly, in a picture reduced to about 0.4
+million pixels (up to 1 million for a panorama). The path is then refined to sub-pixel in a narrow
+band of the full photo. A column is trusted if the network gives a high probability that the skyline
+runs along the path.
 
 A person corrects the skyline by strokes of a brush. A stroke marks pixels as sky or as ground; the
 skyline is then the cheapest path that respects the marks. A drawn line is the skyline itself.
@@ -68,7 +69,7 @@ class _Trust:
     crests: int = 3
     """Crests of a column that may be its skyline."""
     least_probability: float = 0.1
-    """Less likely crests are none."""
+    """A row of lower probability is no crest."""
     apart_share: float = 0.03
     """Least distance between two crests, as a share of all rows."""
 
@@ -189,12 +190,12 @@ class Correction:
             trust[columns] = 0.0
         else:
             touched = columns[np.isfinite(row_px[columns])]
-            # A person has looked at them.
+            # A person has looked at these columns.
             trust[touched] = np.maximum(trust[touched], _TRUST.least)
 
 
 class _Extraction:
-    """A photo's skyline, with all from which it was found.
+    """A photo's skyline, and the probabilities and costs that led to it.
 
     Attributes
     ----------

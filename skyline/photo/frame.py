@@ -35,11 +35,10 @@ class _Shapes:
 class Crop:
     """The field of view of a crop, over the greatest possible.
 
-    It is taken to lie evenly between half and all of that.
+    It is taken to be distributed evenly from a half to 1.
     """
 
     mean: float = 0.75
-    """Mean of an even distribution from a half to all."""
     sd: float = 0.5 / sqrt(12.0)
     """Standard deviation of an even distribution that is one half wide."""
     most: float = 1.05
@@ -56,9 +55,9 @@ def frames_of(
     """Return the frame that the camera noted, and the frame taken.
 
     The first is None if the camera noted none. For a photo taken upright, some cameras note the
-    frame upright and some lying. Of the two the better fit to the file is taken; if neither fits,
-    the frame of which the file shows the wider part. A file of a shape that no camera takes is a
-    part of the sensor's shape.
+    frame upright and some lying. Of the two, the one that fits the file better is taken; if neither
+    fits, the one of which the file shows the wider part. A file of a shape that no camera takes is
+    a part of the sensor's shape.
     """
     width = positive(tags.get(Base.ExifImageWidth))
     height = positive(tags.get(Base.ExifImageHeight))

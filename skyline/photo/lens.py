@@ -12,8 +12,8 @@ a value has two readings, and where no other source says which one is right, bot
 A crop mode reads the middle of the sensor. Nikon counts it into the equivalent (Focus-Points' issue
 252), Canon into the focal plane alone. So a photo shows the whole sensor of its camera at most.
 
-All describe the frame whose size the camera noted (`skyline.photo.frame`); a panorama notes its own
-frame in XMP (`skyline.photo.panorama`).
+All three describe the frame whose size the camera noted (`skyline.photo.frame`); a panorama notes
+its own frame in XMP (`skyline.photo.panorama`).
 """
 
 from collections.abc import Sequence
@@ -37,9 +37,9 @@ MAX_PINHOLE_ASPECT = 2.5
 ALONE_SD = 0.1
 """Standard deviation of the logarithm of a 35 mm equivalent that nothing confirms.
 
-It is rounded to a millimetre (2 %), compares widths in some cameras (5 %), and is of the sensor
-before stabilization crops it (8 %). A focal length on a known sensor is taken to be as good:
-converters and crops inside a camera change it."""
+The equivalent is rounded to a millimetre (2 %), compares widths in some cameras (5 %), and
+describes the sensor before stabilization crops it (8 %). A focal length on a known sensor gets the
+same deviation, since converters and crops inside a camera change it."""
 _MM_PER_UNIT = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
 """FocalPlaneResolutionUnit: inch (also if absent), centimetre, millimetre, micrometre."""
 
@@ -62,8 +62,8 @@ class _Focal:
     exposure: timedelta = timedelta(minutes=1)
     """A camera may note the end of an exposure as the time of change."""
     narrowest: float = 1.8
-    """Most of the likeliest field of view over the narrowest reading: a search reaches down to half
-    the likeliest."""
+    """Largest ratio of the likeliest field of view to the narrowest reading: a search reaches down
+    to half the likeliest."""
     least_pixels: float = 3e6
     """A focal plane with fewer pixels does not count by itself: most such photos were reduced by
     programs that note the new size and keep the plane's resolution."""
@@ -219,8 +219,8 @@ def _focal_lengths(
 def _readings(noted: _FocalLength, zoom: float, focal_mm: float | None) -> _Source:
     """Return what a value may mean beside a digital zoom.
 
-    The zoom may be counted in it or not. A reading counts if there could be such a lens, without
-    the zoom.
+    The zoom may be counted in it or not. A reading counts if a lens could have its focal length
+    without the zoom.
     """
     lenses = dict.fromkeys((noted.diagonals / zoom, noted.diagonals))
     possible = [diagonals for diagonals in lenses if _is_lens(diagonals, focal_mm)]
@@ -259,7 +259,7 @@ def _was_edited(tags: Tags) -> bool:
 
 
 def _is_reduced(plane: _Source, film: _Source, noted: Size) -> bool:
-    """Return whether a photo seems to have been reduced since.
+    """Return whether a program seems to have reduced a photo.
 
     The focal plane of such a photo is too small.
     """
@@ -328,10 +328,7 @@ def _covering(source: str, diagonals: Sequence[float], least_sd: float = ALONE_S
 
 
 def _is_lens(diagonals: float, focal_mm: float | None) -> bool:
-    """Return whether a lens may have a focal length.
-
-    It is in diagonals of the frame.
-    """
+    """Return whether a lens can have a focal length, in frame diagonals."""
     if 2.0 * degrees(atan(0.5 / diagonals)) > _FOCAL.widest_deg:
         return False
     return focal_mm is None or _FOCAL.sensor_mm[0] <= focal_mm / diagonals <= _FOCAL.sensor_mm[1]

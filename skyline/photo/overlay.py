@@ -13,7 +13,6 @@ from skyline.files import write_whole
 from skyline.photo.skyline import PhotoSkyline, check_of_image
 
 OVERLAYS = (".png",)
-"""The suffix of overlays."""
 _SKYLINE_RGB = (255, 0, 60)
 _OTHER_CREST_RGB = (255, 160, 0)
 
@@ -21,9 +20,9 @@ _OTHER_CREST_RGB = (255, 160, 0)
 def write_overlay(rgb: UInt8Array, skyline: PhotoSkyline, path: str | Path) -> None:
     """Write a photo as PNG with its skyline drawn on it.
 
-    The trusted columns are drawn. Other crests that may be the skyline are drawn in another colour.
-    The pixels are (H, W, 3) uint8. Raises `InputError` if the skyline belongs to an image of
-    another size, the file is not named .png, or it cannot be written.
+    Only trusted columns are drawn; other crests that may be the skyline have another colour. The
+    pixels are (H, W, 3) uint8. Raises `InputError` if the skyline belongs to an image of another
+    size, the file is not named .png, or it cannot be written.
     """
     suffix_of(path, OVERLAYS)
     check_of_image(skyline, rgb.shape)

@@ -14,7 +14,7 @@ from skyline.photo.xmp import Xmp
 GPANO = "http://ns.google.com/photos/1.0/panorama"
 """Namespace of the properties of panoramas (GPano, https://developers.google.com/streetview)."""
 _NAMES_PANORAMA = re.compile("GPano|photos/1.0/panorama")
-"""What the text of a packet contains that notes a panorama."""
+"""A packet that notes a panorama contains this text."""
 _OF_A_LENS = {"rectilinear", Projection.PERSPECTIVE}
 """Names of the projection of photos through a lens."""
 _WIDEST_PX = 1e8

@@ -109,9 +109,7 @@ def find_skyline(photo: Photo, sky_model: Any = None) -> PhotoSkyline:
 def read_picture(path: str | Path) -> UInt8Array | None:
     """Return the pixels of a photo; None for a trace or mask.
 
-    They are (H, W, 3) uint8 RGB.
-
-    Raises as `read_photo`.
+    They are (H, W, 3) uint8 RGB. Raises as `read_photo`.
     """
     if is_table(path):
         return None

@@ -20,8 +20,8 @@ class _Mask:
     samples: int = 500
     """Rows and columns that are sampled."""
     most_changes: float = 15.0
-    """Most changes between black and white down a column, in the mean of the columns: masks of
-    photos have about 2, dithered photos 90 or more."""
+    """Most changes between black and white down a column, on average: masks of photos have about 2,
+    dithered photos 90 or more."""
     middle: float = 127.5
     """Level halfway from black to white."""
     flat_px: float = 1.0
@@ -73,10 +73,7 @@ def skyline_of_mask(image: UInt8Array) -> PhotoSkyline:
 
 
 def _what_is_wrong(sky: Float64Array, row_px: Float64Array, first: IntArray) -> str:
-    """Return what shows that a picture is no mask of sky.
-
-    It is empty for a mask.
-    """
+    """Return why a picture is no sky mask; empty if it is."""
     drawn = np.isfinite(row_px)
     white = np.count_nonzero(sky >= _MASK.middle, axis=0)
     begins_black = sky[0] < _MASK.middle

@@ -128,10 +128,7 @@ def _features(photo: str, candidate: Pose, frame: Frame) -> list[Json]:
 
 
 def _polygon(outline_m: Float64Array, frame: Frame) -> Json:
-    """Return an outline as a Polygon.
-
-    It is a MultiPolygon where the antimeridian cuts it.
-    """
+    """Return an outline as a Polygon, or a MultiPolygon across the antimeridian."""
     rings = _rings(outline_m, frame)
     if len(rings) == 1:
         return {"type": "Polygon", "coordinates": rings}
@@ -237,7 +234,6 @@ def _add_photo(
 
 
 def _gpx(results: Sequence[MatchResult]) -> bytes:
-    """Return the candidates of results as GPX."""
     namespace = "http://www.topografix.com/GPX/1/1"
     root = Xml.Element("gpx", xmlns=namespace, version="1.1", creator="skyline")
     for result in results:

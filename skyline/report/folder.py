@@ -7,7 +7,6 @@ from skyline.errors import InputError
 from skyline.files import REPORT_PAGE, check_folder, is_own_page
 
 CANDIDATES = "matches.geojson"
-"""The file of candidates."""
 _FILES = re.compile(rf"{REPORT_PAGE}|{CANDIDATES}|\d\d+-(overlay\.jpg|(map|detail)\.png)")
 
 

@@ -24,10 +24,7 @@ reduced colour resolution thin coloured lines fade."""
 
 
 def encode_figure(figure: Figure, kind: str = "png") -> bytes:
-    """Return a figure encoded as ``png``, ``jpeg``, ``svg`` or ``pdf``.
-
-    It has its own resolution.
-    """
+    """Return a figure at its resolution as ``png``, ``jpeg``, ``svg`` or ``pdf``."""
     picture = io.BytesIO()
     figure.savefig(picture, format=kind, dpi="figure", **_OPTIONS.get(kind, {}))
     return picture.getvalue()

@@ -129,7 +129,6 @@ class Landscape:
     """
 
     terrain: HeightField
-    """The elevation model."""
     eye: Viewpoints
     """A single eye."""
     azimuth_deg: Float64Array

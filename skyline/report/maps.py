@@ -32,7 +32,7 @@ from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 
 _LEAST_SIDE_M = 2000.0
-"""Least side of the map of a candidate; that of the map of all candidates is twice as long."""
+"""Least side of a candidate's map; the least side of the map of all candidates is twice as long."""
 _WIDTH_IN = 5.8
 """Width of a map."""
 _TINTS = ("#7fa87a", "#a9bd8b", "#d3c79b", "#c4a983", "#b59f8d", "#d9d5d1", "#ffffff")
@@ -40,7 +40,6 @@ _TINTS = ("#7fa87a", "#a9bd8b", "#d3c79b", "#c4a983", "#b59f8d", "#d9d5d1", "#ff
 TILE_PX = 256
 """Pixels along a tile's side."""
 MAX_ZOOM = 20
-"""Greatest zoom of a tile."""
 _RGB = 255.0 * LinearSegmentedColormap.from_list("heights", _TINTS)(np.arange(256))[:, :3]
 """Colours (256, 3) from the lowest height to the highest."""
 _LIGHT = np.array([-0.5, 0.5, np.sqrt(0.5)], dtype=np.float32)
@@ -55,7 +54,7 @@ def overview_area(places: Sequence[Pose | Viewpoints], terrain: HeightField | No
 
 
 def detail_area(candidate: Pose, terrain: HeightField | None) -> Bbox:
-    """Return the area of a kilometre around a candidate.
+    """Return the area within a kilometre of a candidate.
 
     It is larger if the candidate's ellipse is.
     """

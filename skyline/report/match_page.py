@@ -231,7 +231,6 @@ def _overlay_caption(
 
 
 def _candidate_table(candidates: Sequence[Pose]) -> str:
-    """Return a table of candidates, a row each."""
     rows = []
     for one in candidates:
         ellipse = Ellipse.of(one)

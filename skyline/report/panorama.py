@@ -35,9 +35,8 @@ class _Layout:
     """Sizes on the page."""
 
     width_in: float = 16.0
-    """Width of the picture."""
     margin_in: float = 0.45
-    """Empty margin on the left and on the right, which the degrees of the side take."""
+    """Margin on the left and on the right, in which the degrees of elevation stand."""
     scale_in: float = 0.7
     """Height of the compass under a row."""
     title_in: float = 0.45
@@ -168,7 +167,7 @@ class _Row:
     span_deg: tuple[float, float]
     """Elevation angles of the lower and the upper border."""
     names: list[tuple[Label[Sighting], float, float, float]]
-    """(label, azimuth_deg, summit_deg, wide_in) of each; the width of the upright label."""
+    """(label, azimuth_deg, summit_deg, wide_in) of each name; upright, it is ``wide_in`` wide."""
     in_a_deg: float
     """Inches per degree, sideways and upwards."""
     high_in: float
@@ -276,7 +275,7 @@ def _colours(view: PanoramaView) -> UInt8Array:
 
 
 def _haze(distance_m: Float64Array, reach_m: float) -> Float64Array:
-    """Return how much of terrain at a distance haze hides, 0 to 1."""
+    """Return the share, 0 to 1, of terrain's colour that haze hides."""
     return np.asarray(0.85 * (1.0 - np.exp(-2.0 * distance_m / reach_m)))
 
 
@@ -297,10 +296,7 @@ def _draw_compass(axis: Axes, ends: tuple[float, float]) -> None:
 
 
 def _draw_names(axis: Axes, row: _Row) -> int:
-    """Write upright names above a row, with lines to summits.
-
-    Returns the number of names.
-    """
+    """Write upright names with lines to summits; return their number."""
     begin, end = row.ends_deg
     in_a_deg = row.in_a_deg
     placed = place_labels(
