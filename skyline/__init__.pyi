@@ -26,8 +26,8 @@ from .orientation import Orienter as Orienter
 from .orientation import orient as orient
 from .peaks import Peaks as Peaks
 from .peaks import read_peaks as read_peaks
-from .photo.exif import NotedPlace as NotedPlace
 from .photo.extract import Correction as Correction
+from .photo.noted_place import NotedPlace as NotedPlace
 from .photo.photo import Photo as Photo
 from .photo.photo import read_photo as read_photo
 from .photo.read import read_skyline as read_skyline
@@ -44,13 +44,13 @@ from .render.context import RenderThread as RenderThread
 from .render.horizon import RenderConfig as RenderConfig
 from .render.horizon import render_views as render_views
 from .report.exif_copy import write_located as write_located
-from .report.files import export_matches as export_matches
+from .report.exports import export_matches as export_matches
 from .report.labels import UnnamedPeaks as UnnamedPeaks
-from .report.landscape import PanoramaConfig as PanoramaConfig
 from .report.maps import ReliefTiles as ReliefTiles
 from .report.match_page import report_matches as report_matches
 from .report.overlay import draw_labels as draw_labels
 from .report.panorama import save_panorama as save_panorama
+from .report.panorama_view import PanoramaConfig as PanoramaConfig
 from .sky_view import sky_view_factor as sky_view_factor
 from .skylines import Views as Views
 from .store.layout import StoreHeader as StoreHeader

@@ -44,8 +44,8 @@ from skyline.match.retrieval import Retriever
 from skyline.match.search import one_blas_thread
 from skyline.match.solver import TEMPERATURE
 from skyline.match.verdict import refusal_of, too_little
-from skyline.photo.exif import NotedPlace
 from skyline.photo.image import Picture
+from skyline.photo.noted_place import NotedPlace
 from skyline.photo.read import named_skyline
 from skyline.photo.skyline import PhotoSkyline
 from skyline.pose import Pose, Poses

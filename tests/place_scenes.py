@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 import numpy as np
-from query_scenes import equally_trusted, seen
+from ray_scenes import equally_trusted, seen
 
 from skyline.skylines import Horizons, bin_azimuths_rad
 from skyline.store.places import BINS, Places

@@ -16,7 +16,7 @@ from skyline import Orientation, PhotoSkyline
 from skyline.geodesy.bounds import in_turn
 from skyline.geodesy.map_frame import Rectangle
 from skyline.orientation import RIGHT_DEG
-from skyline.photo.exif import NotedPlace
+from skyline.photo.noted_place import NotedPlace
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M
 from skyline_bench.queries.synthetic import QueryConfig, Truth, make_queries

@@ -17,9 +17,8 @@ from typer import Option
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array
 from skyline.errors import InputError
-from skyline.paper import reprojection
-from skyline.paper.strategies import PLANNERS, Coverage, Planner, Problem, Sites
-from skyline.paper.verify import true_errors_px
+from skyline.paper.plan_check import true_errors_px
+from skyline.paper.planners import PLANNERS, Coverage, Planner, Problem, Sites
 from skyline.plugins import load
 from skyline.render.horizon import HorizonRenderer, RenderConfig
 from skyline.skylines import DEFAULT_WIDTH, columns_u
@@ -156,7 +155,7 @@ class Simulation:
     Lengths are in sites (the pitch of the grid), and stand for metres in `skyline.paper`. The
     eyes look north, over flat ground. A rendering is the upper envelope of the mountain's skyline
     in the columns of a view. Tolerance areas, and what ROV knows of a site, are those of the
-    package: `skyline.paper.reprojection`.
+    package: `skyline.paper.tolerance_areas`.
     """
 
     def __init__(self, row: Setup, side: int = PAPER_SIDE) -> None:
@@ -188,8 +187,8 @@ class Simulation:
         """Return the tolerance areas (N, K, K) of views with skyline points (N, P, 3)."""
         window = self.sites.window
         around = np.broadcast_to(self._around, (len(points), window**2, 3))
-        warp = reprojection.affine_mean if self.row.affine else reprojection.non_affine
-        errors = reprojection.errors_px(points, around, DEFAULT_WIDTH, warp)
+        warp = tolerance_areas.affine_mean if self.row.affine else tolerance_areas.non_affine
+        errors = tolerance_areas.errors_px(points, around, DEFAULT_WIDTH, warp)
         areas = (errors <= self.row.threshold_px).reshape(-1, window, window)
         areas[:, window // 2, window // 2] = True
         return np.asarray(areas)
@@ -282,7 +281,7 @@ def simulate(simulation: Simulation, planner: Planner, seed: int) -> tuple[Cover
         source = coverage.viewpoints[nearest[:, 0]]
         move = (simulation.eyes(sites) - simulation.eyes(source)).astype(np.float64)
         points = np.stack([known[row] for row in nearest[:, 0].tolist()])
-        return simulation.areas(reprojection.moved(points, move[:, None])[:, 0])
+        return simulation.areas(tolerance_areas.moved(points, move[:, None])[:, 0])
 
     side = simulation.side
     render(np.array([0, side - 1, (side - 1) * side, side * side - 1]))
@@ -341,12 +340,12 @@ def measure_quality(field: HeightField, viewpoints: int, seed: int) -> list[Row]
     true_px = true_px.reshape(shape)
     eyes_m = (there.easting_m, there.northing_m, there.eye_elevation_m)
     eyes_there_m = (part.reshape(shape) for part in eyes_m)
-    moved_m = reprojection.displacements_m(views, views.heading, *eyes_there_m)
-    points_m = reprojection.skyline_points_m(views)
+    moved_m = tolerance_areas.displacements_m(views, views.heading, *eyes_there_m)
+    points_m = tolerance_areas.skyline_points_m(views)
     alike = true_px <= _THRESHOLD_PX
     rows = list[Row]()
-    for name, warp in reprojection.WARPS.items():
-        errors = reprojection.errors_px(points_m, moved_m, views.width, warp)
+    for name, warp in tolerance_areas.WARPS.items():
+        errors = tolerance_areas.errors_px(points_m, moved_m, views.width, warp)
         claimed = errors <= _THRESHOLD_PX
         precision, precision_interval = _share(claimed & alike, claimed, seed)
         recall, recall_interval = _share(claimed & alike, alike, seed)

@@ -28,7 +28,7 @@ from skyline.match import confidence
 from skyline.match.prior import GPS_SD_M, NOTHING_KNOWN, PlacePrior, Prior
 from skyline.match.search import FullMatcher
 from skyline.photo.extract import extract_skyline
-from skyline.photo.lens import ALONE_SD
+from skyline.photo.noted_fov import ALONE_SD
 from skyline.photo.skyline import Lens
 from skyline.pose import SAME_VIEW_DEG, Poses
 from skyline.render.depth import DepthRenderer
@@ -302,7 +302,7 @@ def with_lenses(queries: Iterable[SyntheticQuery], seed: int) -> list[SyntheticQ
     """Return queries with lenses known in three ways, in turn.
 
     The field of view is given; it is noted by one value of EXIF, with the error that is expected of
-    one (`skyline.photo.lens`); it is not known.
+    one (`skyline.photo.noted_fov`); it is not known.
     """
     rng = np.random.default_rng([seed, 3])
     made = []

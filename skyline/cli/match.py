@@ -25,7 +25,7 @@ from skyline.cli.terminal import Terminal
 from skyline.errors import InputError
 from skyline.files import STANDARD
 from skyline.match.matcher import FULL
-from skyline.report.files import EXPORTS
+from skyline.report.exports import EXPORTS
 from skyline.report.results_file import RESULTS
 from skyline.tasks.match import UNREFINED, MatchTask, match_photos, split_stores
 

@@ -20,7 +20,7 @@ from skyline.cli.options import (
 from skyline.cli.terminal import Terminal
 from skyline.errors import suffix_of
 from skyline.peaks import read_peaks
-from skyline.report.landscape import PanoramaConfig, panorama_view
+from skyline.report.panorama_view import PanoramaConfig, panorama_view
 from skyline.tasks.standing import stand_with_notes
 from skyline.terrain.surface_model import read_surface
 

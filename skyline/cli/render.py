@@ -22,8 +22,8 @@ from skyline.cli.options import (
 from skyline.cli.terminal import Terminal
 from skyline.geodesy.earth import DEFAULT_REFRACTION_K, Curvature
 from skyline.paper.plan import Plan, PlanConfig
-from skyline.paper.strategies import PLANNERS
-from skyline.paper.verify import Verification
+from skyline.paper.plan_check import Verification
+from skyline.paper.planners import PLANNERS
 from skyline.plugins import names_of
 from skyline.render.horizon import RenderConfig
 from skyline.tasks.render import RenderTask, render_planned, render_store

@@ -72,7 +72,7 @@ def export(
     output: Annotated[Path, output_option("The GeoPackage to write.", "FILE.gpkg")],
 ) -> None:
     """Write the locations of the places as a GeoPackage, for QGIS and others (extra `geo`)."""
-    from skyline.report.files import write_geopackage  # noqa: PLC0415  (slow to load)
+    from skyline.report.exports import write_geopackage  # noqa: PLC0415  (slow to load)
 
     with open_store(store) as opened:
         count = write_geopackage(opened, output)

@@ -22,7 +22,7 @@ from skyline.errors import InputError, numbers_of, swapped_in_words
 from skyline.geodesy.bounds import check_bounds, in_turn
 from skyline.geodesy.map_frame import Frame, Rectangle
 from skyline.match.screen import turns_within
-from skyline.photo.exif import NotedPlace
+from skyline.photo.noted_place import NotedPlace
 from skyline.pose import Poses
 from skyline.store.places import Places
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, LEAST_EYE_HEIGHT_M

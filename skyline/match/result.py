@@ -12,7 +12,7 @@ from pyproj import Geod
 from skyline.errors import InputError, library, printable
 from skyline.geodesy.bounds import distance_in_words, in_turn
 from skyline.match.prior import Narrowing
-from skyline.photo.exif import NOTHING_NOTED
+from skyline.photo.noted_place import NOTHING_NOTED
 from skyline.photo.skyline import PhotoSkyline
 from skyline.pose import COLUMNS, ROUGHLY_WITHIN_M, Pose
 

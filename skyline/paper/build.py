@@ -8,7 +8,7 @@ from skyline.arrays import Progress
 from skyline.errors import StoreMismatchError
 from skyline.geodesy.bounds import Bounds
 from skyline.paper.plan import Plan, PlanConfig, plan
-from skyline.paper.verify import Verification, verify_coverage
+from skyline.paper.plan_check import Verification, verify_coverage
 from skyline.render.horizon import HorizonRenderer, RenderConfig
 from skyline.store.layout import StoreHeader
 from skyline.store.merge import sorted_once

@@ -16,8 +16,13 @@ import numpy as np
 from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array, Progress, UInt8Array
 from skyline.errors import InputError
 from skyline.geodesy.map_frame import Rectangle
-from skyline.paper.reprojection import displacements_m, moved, skyline_points_m, tolerance_errors_px
-from skyline.paper.strategies import PLANNERS, Coverage, Planner, Problem, Sites
+from skyline.paper.planners import PLANNERS, Coverage, Planner, Problem, Sites
+from skyline.paper.tolerance_areas import (
+    displacements_m,
+    moved,
+    skyline_points_m,
+    tolerance_errors_px,
+)
 from skyline.plugins import load
 from skyline.skylines import HEADINGS, Views
 from skyline.survey.plans import lattice_m
@@ -42,7 +47,7 @@ class PlanConfig:
     """
 
     strategy: str = "lpov"
-    """The name of a planner: an entry point of `skyline.paper.strategies.PLANNERS`."""
+    """The name of a planner: an entry point of `skyline.paper.planners.PLANNERS`."""
     coarse_m: float = 1000.0
     """Distance between viewpoints of the coarse grid; a whole multiple of ``site_spacing_m``."""
     site_spacing_m: float = 50.0

@@ -9,9 +9,9 @@ from PIL.ExifTags import IFD
 from skyline.arrays import UInt8Array
 from skyline.camera import Projection
 from skyline.errors import InputError
-from skyline.photo.exif import NOTHING_NOTED, NotedPlace, place_from_exif
 from skyline.photo.image import Picture, name_of, opened_image, rgb_of, shrink_if_large
-from skyline.photo.lens import camera_of
+from skyline.photo.noted_fov import camera_of
+from skyline.photo.noted_place import NOTHING_NOTED, NotedPlace, place_from_exif
 from skyline.photo.skyline import Lens, PhotoSkyline
 from skyline.photo.xmp import xmp_of
 from skyline.tables import is_table

@@ -12,12 +12,12 @@ from skyline.camera import Projection
 from skyline.errors import InputError, numbers_of
 from skyline.photo.extract import extract_skyline
 from skyline.photo.image import Picture
-from skyline.photo.lens import MAX_PINHOLE_ASPECT
+from skyline.photo.noted_fov import MAX_PINHOLE_ASPECT
 from skyline.photo.photo import Photo, read_photo
 from skyline.photo.sky_mask import is_sky_mask, skyline_of_mask
-from skyline.photo.sky_model import model_skyline
 from skyline.photo.skyline import PhotoSkyline
 from skyline.photo.trace import read_trace
+from skyline.photo.user_sky_model import model_skyline
 from skyline.tables import is_table
 
 _log = logging.getLogger(__name__)
@@ -43,7 +43,7 @@ def read_skyline(
     projection : Projection, optional
         Perspective by default, unless the photo's EXIF or XMP note a panorama.
     sky_model : onnxruntime.InferenceSession or path, optional
-        Segments the sky in photos; see `skyline.photo.sky_model`.
+        Segments the sky in photos; see `skyline.photo.user_sky_model`.
 
     Raises
     ------

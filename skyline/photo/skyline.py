@@ -7,7 +7,7 @@ import numpy as np
 from skyline.arrays import BoolArray, Float64Array
 from skyline.camera import MIN_FOV_DEG, Projection, from_middle
 from skyline.errors import InputError
-from skyline.photo.exif import NOTHING_NOTED, NotedPlace
+from skyline.photo.noted_place import NOTHING_NOTED, NotedPlace
 
 _SAME_ROWS = 0.02
 

@@ -15,7 +15,7 @@ from skyline.peaks import Peaks, Sighting
 from skyline.photo.read import read_picture
 from skyline.photo.skyline import PhotoSkyline
 from skyline.pose import COLUMNS, Ellipse, Pose
-from skyline.report.files import export_matches
+from skyline.report.exports import export_matches
 from skyline.report.folder import CANDIDATES, check_report_folder
 from skyline.report.html import figures, page, picture, section, table, text
 from skyline.report.labels import UnnamedPeaks, encode_figure

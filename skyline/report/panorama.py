@@ -18,7 +18,13 @@ from skyline.files import write_whole
 from skyline.geodesy.bounds import degrees_in_words
 from skyline.peaks import Peaks, Sighting
 from skyline.report.labels import Label, UnnamedPeaks, encode_figure, labels_of, place_labels
-from skyline.report.landscape import COLUMNS, PanoramaConfig, PanoramaView, panorama_view, row_count
+from skyline.report.panorama_view import (
+    COLUMNS,
+    PanoramaConfig,
+    PanoramaView,
+    panorama_view,
+    row_count,
+)
 from skyline.terrain.dem import Dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.surface_model import read_surface

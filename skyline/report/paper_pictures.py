@@ -16,7 +16,7 @@ from skyline.arrays import Float32Array, Float64Array
 from skyline.errors import InputError
 from skyline.files import check_folder, write_whole, write_with_folders
 from skyline.paper.plan import Plan
-from skyline.paper.strategies import Coverage
+from skyline.paper.planners import Coverage
 from skyline.render.depth import DepthRenderer
 from skyline.render.horizon import RenderConfig
 from skyline.report.labels import encode_figure, is_figure

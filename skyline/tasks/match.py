@@ -29,7 +29,7 @@ from skyline.match.result import JointResult, MatchResult
 from skyline.peaks import Peaks, read_peaks
 from skyline.photo.skyline import PhotoSkyline
 from skyline.plugins import names_of
-from skyline.report.files import EXPORTS, export_matches
+from skyline.report.exports import EXPORTS, export_matches
 from skyline.report.folder import check_report_folder
 from skyline.report.results_file import ResultsFile
 from skyline.store.read import is_store

@@ -11,7 +11,7 @@ from skyline.files import check_folder, lies_in_any
 from skyline.geodesy.bounds import Bounds
 from skyline.paper.build import build_planned
 from skyline.paper.plan import Plan, PlanConfig
-from skyline.paper.verify import Verification
+from skyline.paper.plan_check import Verification
 from skyline.render.horizon import RenderConfig
 from skyline.store.read import parts_folder
 from skyline.store.write import check_store_path
@@ -40,7 +40,7 @@ class RenderTask:
     spacing_m: float | None = None
     """Distance between the viewpoints of a uniform grid."""
     planner: str | None = None
-    """Name of a planner, of `skyline.paper.strategies.PLANNERS`."""
+    """Name of a planner, of `skyline.paper.planners.PLANNERS`."""
     coarse_m: float | None = None
     """Distance between the viewpoints that a planner renders first."""
     site_m: float | None = None

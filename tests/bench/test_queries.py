@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from query_scenes import hills
+from ray_scenes import hills
 from scenes import field_of, fractal
 
 from skyline.camera import level, undistorted
-from skyline.photo.lens import ALONE_SD
+from skyline.photo.noted_fov import ALONE_SD
 from skyline.photo.skyline import PhotoSkyline
 from skyline.render.depth import DepthRenderer
 from skyline.terrain.viewpoints import at_elevation

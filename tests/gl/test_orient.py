@@ -11,7 +11,7 @@ from test_matcher import MIDDLE, SHARP
 from skyline import Orienter, orient
 from skyline.errors import InputError
 from skyline.geodesy.bounds import in_turn
-from skyline.photo.exif import NotedPlace
+from skyline.photo.noted_place import NotedPlace
 from skyline.photo.skyline import PhotoSkyline
 from skyline_bench.queries.synthetic import make_queries
 

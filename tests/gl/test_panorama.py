@@ -8,8 +8,8 @@ from scenes import at_deg, at_m, field_from, field_of, fractal
 from scipy.ndimage import maximum_filter
 
 from skyline import PanoramaConfig, Peaks, horizon, save_panorama, stand_on
-from skyline.report.landscape import Landscape, panorama_view
 from skyline.report.panorama import SUMMIT, draw_panorama
+from skyline.report.panorama_view import Landscape, panorama_view
 from skyline.skylines import FLAG_TRUNCATED
 
 AZIMUTH_DEG = 10.0 + np.arange(2000) * 0.05

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from query_scenes import photographed_from, poses, rays_of
+from ray_scenes import photographed_from, poses, rays_of
 from scenes import field_of, fractal
 
 from skyline.camera import distorted

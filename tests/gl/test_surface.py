@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from query_scenes import photographed_from, poses, rays_of
+from ray_scenes import photographed_from, poses, rays_of
 from scenes import at_m, field_of, fractal
 
 from skyline import horizon, stand_at, stand_on

@@ -7,7 +7,7 @@ import pytest
 from scenes import candidate_at
 
 from skyline.match.result import MatchResult
-from skyline.photo.exif import NOTHING_NOTED, NotedPlace
+from skyline.photo.noted_place import NOTHING_NOTED, NotedPlace
 from skyline.photo.skyline import Lens, PhotoSkyline
 
 

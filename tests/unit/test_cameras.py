@@ -7,7 +7,7 @@ import pytest
 from PIL.ExifTags import Base
 
 from skyline.match.rays import Rays
-from skyline.photo.lens import lens_of
+from skyline.photo.noted_fov import lens_of
 
 pytest.importorskip("lensfunpy", reason="no database of sensors on this machine")
 

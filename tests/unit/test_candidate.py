@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from pyproj import Geod
-from query_scenes import poses
+from ray_scenes import poses
 from scenes import candidate_at
 from shapely import MultiPolygon, Polygon
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from query_scenes import equally_trusted, poses
+from ray_scenes import equally_trusted, poses
 
 from skyline.match import confidence
 from skyline.pose import DISTANCES_M, FitFigures

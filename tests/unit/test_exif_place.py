@@ -7,7 +7,7 @@ from PIL.TiffImagePlugin import IFDRational
 from xmp_packets import xmp_packet
 
 from skyline import NotedPlace
-from skyline.photo.exif import place_from_exif
+from skyline.photo.noted_place import place_from_exif
 from skyline.photo.photo import read_noted_place, read_photo
 from skyline.photo.xmp import Xmp
 

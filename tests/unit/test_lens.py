@@ -7,7 +7,7 @@ from PIL.TiffImagePlugin import IFDRational
 
 from skyline.camera import Projection
 from skyline.match.rays import Rays
-from skyline.photo.lens import lens_of
+from skyline.photo.noted_fov import lens_of
 from skyline.photo.panorama import GPANO, panorama_of_xmp, swept_lens_of
 from skyline.photo.skyline import Lens
 from skyline.photo.xmp import Xmp

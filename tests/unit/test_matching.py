@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from query_scenes import equally_trusted, photographed
+from ray_scenes import equally_trusted, photographed
 from scenes import field_of, fractal
 
 from skyline.match.prior import NOTHING_KNOWN

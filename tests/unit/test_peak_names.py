@@ -10,10 +10,10 @@ from scenes import candidate_at, field_from
 from skyline import PanoramaConfig, Peaks, save_panorama, stand_on
 from skyline.photo.skyline import PhotoSkyline
 from skyline.report.labels import UnnamedPeaks, encode_figure
-from skyline.report.landscape import panorama_view
 from skyline.report.maps import detail_area, draw_match_map
 from skyline.report.overlay import draw_labels, draw_overlay
 from skyline.report.panorama import draw_panorama
+from skyline.report.panorama_view import panorama_view
 from skyline.survey.plans import uniform_grid
 from skyline.view import SeenPeak
 

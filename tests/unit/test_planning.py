@@ -7,8 +7,8 @@ from scenes import field_of, fractal
 from skyline.errors import InputError
 from skyline.paper import plan as planning
 from skyline.paper.plan import PlanConfig, lay_out, plan
-from skyline.paper.strategies import PLANNERS, arov
-from skyline.paper.verify import wilson_interval
+from skyline.paper.plan_check import wilson_interval
+from skyline.paper.planners import PLANNERS, arov
 from skyline.plugins import names_of
 from skyline.skylines import Views
 from skyline.survey.plans import uniform_grid

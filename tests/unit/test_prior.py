@@ -4,14 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from query_scenes import hills, panorama_of, poses, rays_of, seen
+from ray_scenes import hills, panorama_of, poses, rays_of, seen
 from scipy.integrate import quad
 
 from skyline import InputError
 from skyline.match.matcher import paths_of
 from skyline.match.prior import EyeHeightPrior, KnownGround, Narrowing, PlacePrior, Standing
 from skyline.match.solver import FINE, Curves, Solver
-from skyline.photo.exif import NotedPlace
+from skyline.photo.noted_place import NotedPlace
 from skyline.photo.read import named_skyline
 
 NOTED = PlacePrior(1000.0, 2000.0, 25.0)

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from query_scenes import equally_trusted
+from ray_scenes import equally_trusted
 
 from skyline.camera import Projection
 from skyline.match.rays import Rays

@@ -32,7 +32,7 @@ from skyline import (
     write_located,
 )
 from skyline.photo.xmp import Xmp, xmp_of
-from skyline.report.files import VIEW_REACH_M
+from skyline.report.exports import VIEW_REACH_M
 
 BEST = candidate_at(
     100.0, 200.0, 30.0, 4.0, -3.0, 50.0, eye_elevation_m=1234.5, confidence=0.93

@@ -20,7 +20,6 @@ from skyline.errors import InputError
 from skyline.match.result import MatchResult
 from skyline.peaks import Peaks
 from skyline.photo.skyline import PhotoSkyline
-from skyline.report import files
 from skyline.report.labels import encode_figure, place_labels
 from skyline.report.maps import detail_area, draw_match_map
 from skyline.report.match_page import report_matches
@@ -149,7 +148,7 @@ def test_a_report_without_room_leaves_no_new_folder(tmp_path, monkeypatch):
     def full(path, _):
         raise InputError(f"{path} cannot be written: no space")
 
-    monkeypatch.setattr(files, "write_with_folders", full)
+    monkeypatch.setattr(exports, "write_with_folders", full)
     (tmp_path / "old").mkdir()
     for name in ("new", "old"):
         with pytest.raises(InputError, match="no space"):

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from place_scenes import AZIMUTH_DEG, curve, photo, places_of, rays
-from query_scenes import equally_trusted
+from ray_scenes import equally_trusted
 
 from skyline.match.retrieval import Retriever
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from place_scenes import AZIMUTH_DEG, Blocks, curve, photo, places_of, rays
-from query_scenes import equally_trusted
+from ray_scenes import equally_trusted
 
 from skyline.match.prior import NOTHING_KNOWN
 from skyline.match.screen import Screen, screen_places, turns_within

@@ -11,7 +11,7 @@ from PIL import Image
 
 from skyline.errors import InputError, MissingFileError
 from skyline.photo.read import read_skyline
-from skyline.photo.sky_model import load_sky_model, model_skyline
+from skyline.photo.user_sky_model import load_sky_model, model_skyline
 
 
 @dataclass

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from query_scenes import hills, panorama_of, poses, rays_of, seen, swept
+from ray_scenes import hills, panorama_of, poses, rays_of, seen, swept
 
 from skyline.camera import Projection, distorted, wander_of
 from skyline.geodesy.earth import Curvature

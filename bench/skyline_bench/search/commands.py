@@ -20,7 +20,7 @@ from skyline.geodesy.bounds import Bounds
 from skyline.geodesy.map_frame import Rectangle
 from skyline.match.matcher import FULL
 from skyline.paper.plan import PlanConfig
-from skyline.paper.strategies import PLANNERS
+from skyline.paper.planners import PLANNERS
 from skyline.plugins import names_of
 from skyline.store.layout import PLACES, RENDERINGS
 from skyline.survey.plans import map_bounds

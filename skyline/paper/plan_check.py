@@ -10,7 +10,8 @@ import numpy as np
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, FloatArray, Int64Array, Rows
 from skyline.paper.plan import Plan, Render
-from skyline.paper.reprojection import (
+from skyline.paper.planners import Coverage
+from skyline.paper.tolerance_areas import (
     IDENTITY,
     affine_least_squares,
     affine_median,
@@ -18,7 +19,6 @@ from skyline.paper.reprojection import (
     non_affine,
     skyline_points_m,
 )
-from skyline.paper.strategies import Coverage
 from skyline.skylines import HEADINGS, Views, columns_u, pixel_size
 
 

@@ -6,8 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scenes import field_from
 
-from skyline.paper import reprojection
-from skyline.paper.verify import true_errors_px
+from skyline.paper.plan_check import true_errors_px
 from skyline.skylines import Views, columns_u
 from skyline.terrain.viewpoints import stand_on
 from skyline_bench.truth import oracle
@@ -36,8 +35,8 @@ def mountains(u, seed=0, height=0.1):
 def errors(name, view, *displacements):
     there = np.array(displacements, dtype=np.float64)
     there = np.broadcast_to(there, (len(view), *there.shape))
-    return reprojection.errors_px(
-        reprojection.skyline_points_m(view), there, view.width, reprojection.WARPS[name]
+    return tolerance_areas.errors_px(
+        tolerance_areas.skyline_points_m(view), there, view.width, tolerance_areas.WARPS[name]
     )
 
 
@@ -51,7 +50,7 @@ def test_equation_4_is_exact_for_a_skyline_of_one_depth(name, right, up, forward
     assert errors(name, view, (right, up, forward))[0, 0] < 0.01
 
 
-@pytest.mark.parametrize("name", reprojection.WARPS)
+@pytest.mark.parametrize("name", tolerance_areas.WARPS)
 def test_an_empty_skyline_and_an_eye_that_is_nowhere_are_outside(name):
     empty = views_of(np.full(WIDTH, np.nan), np.nan)
     assert np.isinf(errors(name, empty, (0.0, 0.0, 0.0), (10.0, 0.0, 0.0))).all()
@@ -66,9 +65,9 @@ def test_least_squares_is_exact_where_the_images_are_affine():
     points[..., :2] = generator.uniform(-300.0, 300.0, (2, 30, 2))
     points[generator.random((2, 30)) < 0.3] = np.nan
     there = generator.uniform(-100.0, 100.0, (2, 4, 3))
-    expected = reprojection.equation_4(np.full(2, 900.0), there)
+    expected = tolerance_areas.equation_4(np.full(2, 900.0), there)
     np.testing.assert_allclose(
-        reprojection.affine_least_squares(points, there), expected, atol=1e-6
+        tolerance_areas.affine_least_squares(points, there), expected, atol=1e-6
     )
 
 
@@ -79,9 +78,9 @@ def test_moved_points_lie_on_the_skyline_that_the_oracle_sees(move):
     there = stand_on(field, easting_m=130.0 + move[0], northing_m=-70.0 + move[1])
     stored, truth = (oracle.skyline(field, eye, WIDTH) for eye in (here, there))
     eye = there.easting_m[:, None], there.northing_m[:, None], there.eye_elevation_m[:, None]
-    move_m = reprojection.displacements_m(stored, stored.heading, *eye)
-    points = reprojection.moved(reprojection.skyline_points_m(stored, WIDTH), move_m)[:, 0]
-    for image, skyline in zip(reprojection.projected(points), truth.v, strict=True):
+    move_m = tolerance_areas.displacements_m(stored, stored.heading, *eye)
+    points = tolerance_areas.moved(tolerance_areas.skyline_points_m(stored, WIDTH), move_m)[:, 0]
+    for image, skyline in zip(tolerance_areas.projected(points), truth.v, strict=True):
         seen = np.isfinite(image[:, 0]) & (np.abs(image[:, 0]) < U[-1])
         off_px = np.abs(np.interp(image[seen, 0], U, skyline) - image[seen, 1]) / PX
         assert np.quantile(off_px, 0.95) < 0.3
@@ -104,9 +103,9 @@ def plateau(easting, northing):
 def test_ground_is_looked_up_on_the_map_whatever_the_heading(heading):
     depth_m = np.where(U < 0.0, 1000.0, 3000.0)
     view = views_of(mountains(U), depth_m, heading, east=999.0, north=1999.0, eye=2.0)
-    points = reprojection.skyline_points_m(view)
+    points = tolerance_areas.skyline_points_m(view)
     options = {"size": 5, "spacing_m": 2.0, "width": view.width}
-    errors = reprojection.tolerance_errors_px(points, view, view.heading, plateau, **options)[0]
+    errors = tolerance_areas.tolerance_errors_px(points, view, view.heading, plateau, **options)[0]
     assert np.isinf(errors[:, 3:]).all()
     assert np.isfinite(errors[:, :3]).all()
     # 50 m up, Equation 4 at the mean depth misses both halves.
@@ -142,19 +141,19 @@ def test_the_error_of_another_skyline_is_its_distance():
     assert error[0] == pytest.approx(8.0 * 2.0 / np.pi, rel=0.05)
 
 
-@pytest.mark.parametrize("name", reprojection.WARPS)
+@pytest.mark.parametrize("name", tolerance_areas.WARPS)
 def test_many_views_and_eyes_at_once_are_as_one_by_one(name):
     generator = np.random.default_rng(5)
     field = field_from(lambda e, n: 300.0 * np.sin(e / 310.0) * np.cos(n / 270.0), 61, 40.0)
     eyes = stand_on(field, easting_m=[0.0, 150.0], northing_m=[30.0, -90.0])
     stored = oracle.skyline(field, eyes, 96)
     there = generator.uniform(-150.0, 150.0, (len(stored), 7, 3)) * [1.0, 0.2, 1.0]
-    points = reprojection.skyline_points_m(stored)
-    together = reprojection.errors_px(points, there, stored.width, reprojection.WARPS[name])
+    points = tolerance_areas.skyline_points_m(stored)
+    together = tolerance_areas.errors_px(points, there, stored.width, tolerance_areas.WARPS[name])
     assert together.shape == (len(stored), 7)
     assert together.dtype == np.float32
     for candidate in range(7):
-        alone = reprojection.errors_px(
-            points, there[:, [candidate]], stored.width, reprojection.WARPS[name]
+        alone = tolerance_areas.errors_px(
+            points, there[:, [candidate]], stored.width, tolerance_areas.WARPS[name]
         )[:, 0]
         np.testing.assert_allclose(together[:, candidate], alone, rtol=1e-3, atol=1e-3)
