@@ -17,6 +17,7 @@ from typer import Option
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array
 from skyline.errors import InputError
+from skyline.paper import tolerance_areas
 from skyline.paper.plan_check import true_errors_px
 from skyline.paper.planners import PLANNERS, Coverage, Planner, Problem, Sites
 from skyline.plugins import load

@@ -20,6 +20,7 @@ from skyline.errors import InputError
 from skyline.match.result import MatchResult
 from skyline.peaks import Peaks
 from skyline.photo.skyline import PhotoSkyline
+from skyline.report import exports
 from skyline.report.labels import encode_figure, place_labels
 from skyline.report.maps import detail_area, draw_match_map
 from skyline.report.match_page import report_matches

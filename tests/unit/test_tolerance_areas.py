@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scenes import field_from
 
+from skyline.paper import tolerance_areas
 from skyline.paper.plan_check import true_errors_px
 from skyline.skylines import Views, columns_u
 from skyline.terrain.viewpoints import stand_on
