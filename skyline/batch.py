@@ -203,3 +203,18 @@ def _match(matcher: Matcher, entry: Entry, _: Tell | None = None) -> MatchResult
     found = matcher.match(entry.read(), narrowing=entry.narrowing)
     seconds = time.perf_counter() - started
     return replace(found, seconds=seconds, name=entry.path, id=entry.label)
+
+
+def usable_entries(entries: Sequence[Entry]) -> list[Entry]:
+    """Return the photos that can be read; raises the error of the first if there are none."""
+    usable: list[Entry] = []
+    errors: list[SkylineError] = []
+    for one in entries:
+        try:
+            one.check()
+            usable.append(one)
+        except SkylineError as error:
+            errors.append(error)
+    if not usable:
+        raise errors[0]
+    return usable

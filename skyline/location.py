@@ -10,14 +10,11 @@ from skyline.errors import InputError
 from skyline.geodesy.bounds import Bounds
 from skyline.geodesy.map_frame import Frame
 from skyline.match.matcher import Matcher
-from skyline.match.prior import Narrowing
+from skyline.match.prior import NOTED_KM, Narrowing
 from skyline.match.result import MatchResult
 from skyline.photo.image import Picture, name_of
 from skyline.photo.photo import read_noted_place
 from skyline.terrain.dem_files import Paths
-
-NOTED_KM = 10.0
-"""Radius of the area that is built round a photo's own position."""
 
 _NEEDED_KM = 5.0
 """Radius of the area that a cached store must have round a photo's own position, so that photos

@@ -22,7 +22,7 @@ from skyline.cli.photo_options import (
 )
 from skyline.cli.terminal import Terminal
 from skyline.fetch.dem_tiles import SOURCES
-from skyline.location import NOTED_KM
+from skyline.match.prior import NOTED_KM
 from skyline.tasks.locate import LocateTask, locate_photos
 
 

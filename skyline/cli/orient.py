@@ -6,7 +6,7 @@ from typing import Annotated, Any
 import typer
 from typer import Argument, Option
 
-from skyline.batch import Entry, entries_of
+from skyline.batch import Entry, entries_of, usable_entries
 from skyline.cli.options import AsJson, Crs, Dem, output_option, parse_position, read_terrain
 from skyline.cli.photo_options import (
     CameraElevation,
@@ -19,7 +19,6 @@ from skyline.errors import SkylineError, check_suffix, printable
 from skyline.files import STANDARD, check_outputs, write_whole
 from skyline.orientation import DEFAULT_WITHIN_M, Orientation
 from skyline.tables import csv_lines
-from skyline.tasks.locate import usable_entries
 from skyline.tasks.orient import CameraAt, orient_photos
 
 

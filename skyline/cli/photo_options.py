@@ -11,8 +11,7 @@ from skyline.batch import Entry
 from skyline.camera import Projection
 from skyline.cli.options import panel, parse_bounds
 from skyline.errors import InputError, numbers_of
-from skyline.location import NOTED_KM
-from skyline.match.prior import Narrowing
+from skyline.match.prior import NOTED_KM, Narrowing
 from skyline.peaks import find_place
 
 _known = panel("The photos")

@@ -31,6 +31,10 @@ GPS_SD_M = 30.0
 """Scale of the error of a position without a noted accuracy."""
 
 
+NOTED_KM = 10.0
+"""Radius of a search round the position that a photo notes, or a place that is named."""
+
+
 @dataclass(frozen=True, slots=True)
 class _ExifErrors:
     """What is assumed about errors of EXIF's positions, altitudes and compasses."""

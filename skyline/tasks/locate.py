@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from skyline.batch import Entry
+from skyline.batch import Entry, usable_entries
 from skyline.cache import cached_files, prepare_area
-from skyline.errors import InputError, MissingFileError, SkylineError
+from skyline.errors import InputError, MissingFileError
 from skyline.location import area_of
 from skyline.match.prior import Narrowing
 from skyline.report.folder import check_report_folder
@@ -72,18 +72,3 @@ def _within(entry: Entry, given: Narrowing, area: Narrowing) -> Entry:
     own = entry.narrowing
     near = area.near if own.near == given.near else own.near
     return replace(entry, narrowing=replace(own, near=near, bounds_deg=area.bounds_deg))
-
-
-def usable_entries(entries: Sequence[Entry]) -> list[Entry]:
-    """Return the photos that can be read; raises the error of the first if there are none."""
-    usable: list[Entry] = []
-    errors: list[SkylineError] = []
-    for one in entries:
-        try:
-            one.check()
-            usable.append(one)
-        except SkylineError as error:
-            errors.append(error)
-    if not usable:
-        raise errors[0]
-    return usable
