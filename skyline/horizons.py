@@ -101,7 +101,7 @@ class LocalHorizons(Rows):
         -------
         list of (datetime, datetime)
             Beginnings and ends in UTC, to a tenth of a second. An interval shorter than a minute
-            may be missed. Refraction is that of the standard atmosphere at the eye's elevation.
+            may be missed. Light is refracted as in the standard atmosphere at the eye's elevation.
 
         Raises
         ------

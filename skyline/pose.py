@@ -153,7 +153,7 @@ class Pose:
 
     @property
     def radius_m(self) -> float | None:
-        """Radius of the circle that holds the true place with 68 %.
+        """Radius of the circle in which the camera stood with probability 0.68.
 
         None if unknown. The radius follows from a round normal distribution with the covariance's
         mean variance, if the candidate is right.

@@ -155,7 +155,7 @@ class Simulation:
 
     Lengths are in sites (the pitch of the grid), and stand for metres in `skyline.paper`. The
     eyes look north, over flat ground. A rendering is the upper envelope of the mountain's skyline
-    in the columns of a view. Tolerance areas, and what ROV knows of a site, are those of the
+    in the columns of a view. Tolerance areas, and ROV's knowledge of a site, are taken from the
     package: `skyline.paper.tolerance_areas`.
     """
 

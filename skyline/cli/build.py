@@ -79,7 +79,7 @@ def _finds_in_words(classes: Sequence[tuple[float, float, float]]) -> str:
 
 
 def built_in_words(result: BuildResult, path: Path, rows: str) -> str:
-    """Return what a store has, and how long its new rows took."""
+    """Return a sentence on a store's rows, its size, and the time of the new rows."""
     size = f"{path.stat().st_size / 1e6:.1f} MB"
     if not result.rendered:
         return f"{path}: {result.rows} {rows}, complete: nothing was left to render, {size}"

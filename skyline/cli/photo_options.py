@@ -111,7 +111,7 @@ def entry_of(
     use_gps: bool,
     peaks: Path | None,
 ) -> Entry:
-    """Return what the options say of every photo; raises `InputError` for bad text.
+    """Return an entry with the options that hold for every photo; raises `InputError`.
 
     ``heading`` is a heading and its greatest error.
     """

@@ -36,7 +36,7 @@ _DAMPING = np.float32(1e-3)
 
 @dataclass(frozen=True, slots=True)
 class FitErrors:
-    """What a fit expects of photos, places and cameras."""
+    """Errors and priors that a fit to a stored skyline assumes."""
 
     photo_deg: float = 0.06
     """Error of a mean of rays, at a field of view of 60 degrees."""

@@ -1,4 +1,4 @@
-"""The interface of matchers: ours, and those of other packages."""
+"""The interface of matchers, Skyline's own and other packages'."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -17,8 +17,7 @@ from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 
 MATCHERS = "skyline.matchers"
-"""Group of the entry points by which matchers are found, ours as well as those of other
-packages."""
+"""Group of the entry points by which all matchers are found."""
 BY_RENDERING = "this needs rendering: use the full matcher, refine, and give the DEM"
 
 

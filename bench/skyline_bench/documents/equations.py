@@ -1,4 +1,4 @@
-"""Equations in pages that are those of the code's docstrings.
+"""Equations of pages, copied from the docstrings that derive them.
 
 A page names the equation in a comment, and the equation follows::
 

@@ -189,6 +189,6 @@ def middle_deg(
 
 
 def _noted(path: Path) -> dict[str, Any]:
-    """Return what is noted beside a store; empty without a note."""
+    """Return the note beside a store; empty if there is none."""
     note = path.with_suffix(_NOTE)
     return dict(json.loads(note.read_text(encoding="utf-8"))) if note.exists() else {}
