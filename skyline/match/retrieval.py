@@ -1,14 +1,17 @@
 """Retrieval: from rays to a short list of poses in a store.
 
-Coarse to fine: screening compares every heading of every place by phases (`skyline.match.screen`).
-Then whole poses are fitted to the skylines of the best places, first roughly to many of them, then
-well to fewer (`skyline.match.fit`). The short list holds the best poses that differ from one
-another.
+Coarse to fine: screening compares every heading of groups of places by phases
+(`skyline.match.screen`). Then whole poses are fitted to the skylines of the best places, first
+roughly to many of them, then well to fewer (`skyline.match.fit`). A short list holds the best poses
+that differ from one another.
+
+Best first: the first short list is of the few most promising places, among which most photos have
+theirs. The last one is of all that are worth a fit.
 """
 
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -42,6 +45,8 @@ class RetrievalEffort:
     screened, though fits may start there."""
     unlikely_penalty: float = 0.25
     """Penalty of a field of view in screening, over the square of its standard deviations."""
+    first: int = 2048
+    """Places of the first short list."""
     rough_share: float = 0.05
     """Share of the places to which poses are fitted roughly."""
     rough_least: int = 16_384
@@ -52,8 +57,9 @@ class RetrievalEffort:
     than the right turn, since it knows neither the pitch nor where the eye stands."""
     starts: float = 1.5
     """Mean number of rough fits for a place."""
-    good: int = 8192
-    """Best rough fits from which poses are fitted well."""
+    good_share: float = 1 / 3
+    """Share of the rough fits from which poses are fitted well."""
+    good_most: int = 8192
     separation_m: float = 30.0
     """A pose nearer to a better one that looks the same way is left out of the short list."""
     same_turn_deg: float = 20.0
@@ -97,21 +103,39 @@ class Retriever:
         prior: Prior = NOTHING_KNOWN,
         report: ReportProgress = silent,
     ) -> Poses:
-        """Return up to ``count`` likely poses of a photo, best first.
+        """Return the last short list of a photo; see `shortlists`."""
+        *_, last = self.shortlists(rays, count, prior, report)
+        return last
 
-        Poses may lie between the places. Raises `InputError` where the search is narrowed to no
-        place.
+    def shortlists(
+        self,
+        rays: Rays,
+        count: int,
+        prior: Prior = NOTHING_KNOWN,
+        report: ReportProgress = silent,
+    ) -> Iterator[Poses]:
+        """Yield up to ``count`` likely poses of a photo, best first, of ever more places.
+
+        Poses may lie between the places. Each list has the best poses of the lists before it.
+        Raises `InputError` where the search is narrowed to no place.
         """
         scores = self._screen(rays, prior).scores
         alike = screen_places(scores, self.places, self._rough, prior.contains, report)
         if not len(alike):
             raise self._no_place_error([prior])
-        places = self.places.take(alike.row)
-        start = self._start(rays, prior, places, alike.score, _EFFORT.turns)
-        fitted = self._fitted([rays], [start], report)[0]
-        fitted = fitted[prior.allows(fitted)]
         separation_m = _EFFORT.separation_m
-        return fitted[fitted.suppress_non_maxima(count, separation_m, _EFFORT.same_turn_deg)]
+        best: Poses | None = None
+        for part in (alike[: _EFFORT.first], alike[_EFFORT.first :]):
+            if len(part):
+                places = self.places.take(part.row)
+                start = self._start(rays, prior, places, part.score, _EFFORT.turns)
+                fitted = self._fitted([rays], [start], report)[0]
+                fitted = fitted[prior.allows(fitted)]
+                best = fitted if best is None else Poses.concatenate([best, fitted])
+                best = best[
+                    best.suppress_non_maxima(count, separation_m, _EFFORT.same_turn_deg)
+                ]
+                yield best
 
     def fitted_all_round(self, rays: Rays) -> Poses:
         """Return poses fitted to a photo at every place.
@@ -226,7 +250,8 @@ class Retriever:
             self._fits(rays, start, ROUGH_FIT, report)
             for rays, start in zip(photos, starts, strict=True)
         ]
-        best = np.sort(np.argsort(_total(rough), kind="stable")[: _EFFORT.good])
+        good = min(math.ceil(_EFFORT.good_share * len(rough[0])), _EFFORT.good_most)
+        best = np.sort(np.argsort(_total(rough), kind="stable")[:good])
         return [
             self._fits(rays, start[best], GOOD_FIT, report)
             for rays, start in zip(photos, starts, strict=True)

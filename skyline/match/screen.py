@@ -20,6 +20,7 @@ Places come in blocks that may be mapped from a file, and only the best so far a
 does not grow with the store.
 """
 
+import math
 import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -34,6 +35,7 @@ from skyline.arrays import (
     Complex128Array,
     Float32Array,
     Float64Array,
+    Int64Array,
     IntArray,
     Rows,
     UInt8Array,
@@ -52,10 +54,12 @@ _TURNS_AT_ONCE = 20
 product is wasted; with fewer, the products are too small to be fast."""
 _APART_TURNS = 6
 """Least difference of the best turns of a place: 12 degrees."""
-_SLACK = 4
-"""Multiple of the wanted number of places that is kept before the worst are dropped."""
-_BLOCKS_AT_ONCE = 16
-"""Blocks that a thread takes. With one, two threads spend half their time waiting for the GIL."""
+_GROUP = 8
+"""Places of a group, of which the head is compared first."""
+_FOLLOWED = 0.1
+"""Share of the groups whose other places are compared too."""
+_PLACES_OF_A_THREAD = 4096
+"""Places that a thread takes. With fewer, two threads spend half their time waiting for the GIL."""
 _PLACES_AT_ONCE = 1024
 """Places scored together, so that memory does not grow with the number of places."""
 
@@ -258,47 +262,108 @@ def screen_places(
     contains: Callable[[Places], BoolArray],
     report: ReportProgress = silent,
 ) -> Alike:
-    """Return the best ``count`` places of a source.
+    """Return the best ``count`` places of a source, compared coarse to fine.
 
-    There are fewer if fewer are contained. ``scores`` gives the scores (N,) of phases (N, B):
-    `Screen.scores`, or a sum of several; ``contains`` marks which places (N,) of a block are
-    searched.
+    Neighbouring places form groups. The head of each group is compared first, then all places of
+    the groups with the best heads. There are fewer places if fewer are contained. ``scores`` gives
+    the scores (N,) of phases (N, B): `Screen.scores`, or a sum of several; ``contains`` marks which
+    places (N,) of a block are searched.
     """
+    groups = np.concatenate(
+        [
+            np.zeros((0, _GROUP), dtype=np.intp),
+            *(
+                first + groups_of_neighbours(places, contains(places))
+                for first, places in _numbered(source)
+            ),
+        ]
+    )
+    heads = _screened(scores, source, groups[:, 0], lambda share: report("screening", 0.5 * share))
+    wanted = max(math.ceil(_FOLLOWED * len(groups)), math.ceil(count / _GROUP))
+    best = np.lexsort((groups[:, 0], -heads.score))[:wanted]
+    others = np.unique(groups[best, 1:])
+    others = others[~np.isin(others, groups[:, 0])]
+    rest = _screened(scores, source, others, lambda share: report("screening", 0.5 + 0.5 * share))
+    return Alike.joined([heads, rest]).best(count)
 
-    def scored(blocks: list[tuple[int, Places]]) -> tuple[Alike, int]:
-        parts = []
-        for start, places in blocks:
-            chosen = np.flatnonzero(contains(places))
-            if len(chosen):
-                phase = places.phase if len(chosen) == len(places) else places.phase[chosen]
-                parts.append(Alike(start + chosen, scores(phase)))
-        return Alike.joined(parts), sum(len(places) for _, places in blocks)
 
-    batches = _batches(source)
-    kept = Alike.joined([])
-    seen = 0
+def groups_of_neighbours(places: Places, searched: BoolArray) -> IntArray:
+    """Return the searched places of a block in groups (G, 8) of neighbours, by index.
+
+    A group's head, the place nearest to its middle, comes first. The last group repeats a place
+    where there are not enough.
+    """
+    index = np.flatnonzero(searched)
+    if not len(index):
+        return np.zeros((0, _GROUP), dtype=np.intp)
+    place_m = places.easting_m[index] + 1j * places.northing_m[index]
+    order = np.argsort(_along_curve(place_m), kind="stable")
+    count = -(-len(index) // _GROUP)
+    groups = order[np.minimum(np.arange(count * _GROUP), len(index) - 1)].reshape(count, _GROUP)
+    off_m = np.abs(place_m[groups] - place_m[groups].mean(axis=1, keepdims=True))
+    head = off_m.argmin(axis=1)
+    row = np.arange(count)
+    groups[row, head], groups[:, 0] = groups[:, 0].copy(), groups[row, head]
+    return index[groups]
+
+
+def _along_curve(place_m: Complex128Array) -> Int64Array:
+    """Return how far along a curve through all cells of a square places lie.
+
+    The curve is Morton's, which interleaves the bits of both coordinates: places that are near each
+    other along it are near each other on the map.
+    """
+    corner = place_m.real.min() + 1j * place_m.imag.min()
+    off_m = place_m - corner
+    cell_m = max(off_m.real.max(), off_m.imag.max(), 1.0) / 1023.0
+    code = np.zeros(len(place_m), dtype=np.int64)
+    for axis, cells in enumerate((off_m.real / cell_m, off_m.imag / cell_m)):
+        whole = cells.astype(np.int64)
+        for bit in range(10):
+            code |= (whole >> bit & 1) << (2 * bit + axis)
+    return code
+
+
+def _screened(
+    scores: Callable[[UInt8Array], Float32Array],
+    source: PlaceSource,
+    rows: IntArray,
+    report: Callable[[float], None],
+) -> Alike:
+    """Return some places of a source, with their scores, in the order of ``rows``."""
+    order = np.argsort(rows, kind="stable")
+    score = np.zeros(len(rows), dtype=np.float32)
+    parts = _phases(source, rows[order])
+    done = 0
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        # A few batches are in work at a time, so that memory does not grow with the store.
-        ahead = [pool.submit(scored, batch) for batch in islice(batches, 2 * (os.cpu_count() or 1))]
+        # A few parts are in work at a time, so that memory does not grow with the store.
+        ahead = [pool.submit(scores, part) for part in islice(parts, 2 * (os.cpu_count() or 1))]
         while ahead:
-            found, places = ahead.pop(0).result()
-            ahead.extend(pool.submit(scored, batch) for batch in islice(batches, 1))
-            seen += places
-            report("screening", seen / max(len(source), 1))
-            kept = Alike.joined([kept, found])
-            if len(kept) > _SLACK * count:
-                kept = kept.best(count)
-    return kept.best(count)
+            found = ahead.pop(0).result()
+            ahead.extend(pool.submit(scores, part) for part in islice(parts, 1))
+            score[order[done : done + len(found)]] = found
+            done += len(found)
+            report(done / len(rows))
+    return Alike(rows, score)
 
 
-def _batches(source: PlaceSource) -> Iterator[list[tuple[int, Places]]]:
-    """Yield lists for one thread of places' blocks and first rows."""
-    batch = []
+def _phases(source: PlaceSource, rows: IntArray) -> Iterator[UInt8Array]:
+    """Yield the phases of places, whose rows are in order, some thousands at a time."""
+    parts: list[UInt8Array] = []
+    for first, places in _numbered(source):
+        begin, end = np.searchsorted(rows, (first, first + len(places)))
+        if end > begin:
+            parts.append(places.phase[rows[begin:end] - first])
+        if sum(map(len, parts)) >= _PLACES_OF_A_THREAD:
+            yield np.concatenate(parts)
+            parts = []
+    if parts:
+        yield np.concatenate(parts)
+
+
+def _numbered(source: PlaceSource) -> Iterator[tuple[int, Places]]:
+    """Yield a source's blocks of places, each with its first row."""
     first = 0
     for places in source.blocks():
-        batch.append((first, places))
+        yield first, places
         first += len(places)
-        if len(batch) == _BLOCKS_AT_ONCE:
-            yield batch
-            batch = []
-    yield batch

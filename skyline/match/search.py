@@ -122,12 +122,15 @@ class FullMatcher(SearchMethod):
         where one place fits far better than any other, as with most skylines. Otherwise the poses
         are refined with more effort. Raises as `search`.
         """
-        found = self.retriever.shortlist(rays, self._shortlist, prior, report)
-        if not len(found) or self._scene is None:
-            return found, None
-        start = self._with_noted(found, rays, prior, report)
-        poses = Refinement(rays, self._scene, QUICK, prior, report=report).run(start)
-        if not len(poses) or poses.figures().margin[0] <= self.sure_margin:
+        lists = self.retriever.shortlists(rays, self._shortlist, prior, report)
+        for found in lists:
+            poses = None
+            if self._scene is not None and len(found):
+                start = self._with_noted(found, rays, prior, report)
+                poses = Refinement(rays, self._scene, QUICK, prior, report=report).run(start)
+                if len(poses) and poses.figures().margin[0] > self.sure_margin:
+                    return found, poses
+        if poses is not None and self._scene is not None:
             poses = Refinement(rays, self._scene, WHOLE, prior, report=report).run(start)
         return found, poses
 
