@@ -1,4 +1,7 @@
-"""The mosaic of an elevation model's tiles: whether they fit together, and their heights."""
+"""The mosaic of an elevation model's tiles.
+
+It checks whether the tiles fit together, and reads their heights.
+"""
 
 import logging
 import math

@@ -1,4 +1,7 @@
-"""Surface models beside a DEM: how high trees and houses may rise above the ground."""
+"""Surface models beside a DEM.
+
+They say how high trees and houses may rise above the ground.
+"""
 
 import logging
 import math
