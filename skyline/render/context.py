@@ -313,8 +313,8 @@ def _destroy(context: GlContext) -> None:
 def compile_shaders(ctx: moderngl.Context, *names: str, defines: Mapping[str, str]) -> Any:
     """Compile a compute shader, or link a vertex and a fragment shader.
 
-    The names are those of their files. ``defines`` are macros of all shaders. Raises `ContextError`
-    with the driver's words if the driver refuses a shader.
+    Each shader has the name of its file. ``defines`` are macros of all shaders. Raises
+    `ContextError` with the words of a driver that refuses a shader.
     """
     macros = "".join(f"#define {name} {value}\n" for name, value in defines.items())
     texts = []

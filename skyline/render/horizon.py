@@ -188,7 +188,7 @@ class PanoramaRenderer(ColumnRenderer):
         """Render the horizons of N eyes, in order.
 
         ``first_azimuth_rad`` (N,) is the grid azimuth of each eye's bin 0: the negative of the
-        meridian convergence makes azimuths count from true north. By default the bins are those of
+        meridian convergence makes azimuths count from true north. By default the bins lie at
         `skyline.skylines.bin_azimuths_rad`.
         """
         step_rad = 2.0 * np.pi / self.bins
