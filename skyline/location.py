@@ -1,4 +1,7 @@
-"""Locating photos without a store, in an area that they or the user name."""
+"""Locating photos without a store.
+
+The photos or the user name the area in which they are searched.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -77,7 +80,7 @@ def locate(
 
 
 def area_of(photos: Sequence[Picture], narrowing: Narrowing) -> tuple[Area, Narrowing]:
-    """Return the area in which to search for photos, and the narrowing to it.
+    """Return the area in which photos are searched, and its narrowing.
 
     Raises `InputError` if neither the narrowing nor a photo has a position, or if the photos were
     taken far apart.

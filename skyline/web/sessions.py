@@ -1,4 +1,4 @@
-"""Sessions of the page: each has photos and a folder of its own."""
+"""Sessions of the page, each with its photos and its folder."""
 
 import asyncio
 import secrets
