@@ -97,5 +97,5 @@ def is_whole(size_px: tuple[int, int], frame: Size, tolerance: float = _SHAPES.t
 
 
 def is_unscaled(size_px: tuple[int, int], frame: Size) -> bool:
-    """Return whether a file has all columns, or all rows, of a frame."""
+    """Return whether a file has all columns or rows of a frame."""
     return max(size_px[0] - frame[0], size_px[1] - frame[1]) == 0.0

@@ -212,7 +212,7 @@ class PanoramaRenderer(ColumnRenderer):
         )
 
     def _turned(self, values: NDArray[_Scalar], bins: Int64Array) -> NDArray[_Scalar]:
-        """Return values of views (4 N, B/4) in the bins' order (N, B)."""
+        """Return values (4 N, B/4) of views in the bins' order."""
         # The first view begins an eighth of a turn before bin 0.
         turned = values.reshape(-1, self.bins)
         return np.take_along_axis(turned, (bins + self.bins // 8) % self.bins, axis=1)
