@@ -91,7 +91,7 @@ def entries_of(paths: Iterable[Path], common: Entry) -> Iterator[Entry]:
     list's folder. Fields that a row leaves empty are filled from ``common``, except the path.
 
     A path with a wildcard that does not exist stands for the files that it matches. Pictures in a
-    folder come in natural order, without those of reports.
+    folder come in natural order; pictures of reports are left out.
 
     Raises `InputError` for a list with an unknown column, a bad value or no rows, for a folder
     without pictures, and for a wildcard that matches nothing.

@@ -238,7 +238,7 @@ def quadrant_azimuths_rad(bins: int) -> Float64Array:
 class Horizons(Rows):
     """The skylines of N eyes in B bins of azimuth.
 
-    The bins are those of `bin_azimuths_rad`, unless others are named.
+    The bins lie at `bin_azimuths_rad`, unless others are named.
 
     Attributes
     ----------
@@ -275,7 +275,7 @@ def polyline_vertices(
     Where a curve has more than ``max_vertices``, the most significant stay. A vertex is as
     significant as the miss that made it is large, but never more than the vertex whose segment it
     splits; so the vertices that stay are the polyline of a coarser tolerance. The ends of runs come
-    first, those of longer runs before others.
+    first, and the ends of longer runs before the ends of shorter ones.
 
     Curves are (N, W), W below 65535; NaN marks a gap. The tolerance is in their unit; 0 keeps every
     bend. Columns (N, max_vertices) ascend and are padded with `NO_KEYPOINT`.

@@ -10,8 +10,8 @@ pitch and roll.
 These steps take seconds for all locations at all assumed pitches. A shortlist, which is not the
 paper's, chooses the pairs of a location and a pitch that go through them. The skylines, thinned,
 are laid over each other in every direction. A tilt and an affine map near the identity change the
-photo's skyline q(x) to first order by a combination of a few known curves (1, cos x, sin x, q',
-x q'), so the least rms distance after such a warp is that of the difference with those curves
+photo's skyline q(x) to first order by a combination of a few known curves (1, cos x, sin x, q', x
+q'). So the least rms distance after such a warp is the rms of the difference, with those curves
 projected out:
 
 .. math:: \sum w (s - q)^2 - |B^T (s - q)|^2
@@ -196,10 +196,10 @@ def _fits_in_direction(
 def _agreeing_shifts(shift: IntArray, known: BoolArray, bins: int) -> tuple[IntArray, BoolArray]:
     """Unwrap the shifts of correspondences; mark those near a common direction.
 
-    Azimuth is circular and an affine map is not; and a location is seen all the way round, but the
-    paper's reference in one direction. So the direction is found first: the shift with most others
-    within `_Search.vote_turns`. Shifts farther from it than `_Search.reach_turns` can only be
-    outliers and are left out.
+    Azimuth is circular and an affine map is not. A location is seen all the way round, but a
+    reference of the paper in one direction. So the direction is found first: the shift with most
+    others within `_Search.vote_turns`. Shifts farther from it than `_Search.reach_turns` can only
+    be outliers and are left out.
 
     Shifts (C, Q) are the bin of the location less the photo's bin in each correspondence; ``known``
     (C, Q) marks the correspondences that exist. Shifts are returned within half a turn of the

@@ -295,8 +295,8 @@ def _bounded_step(
 ) -> Float64Array:
     """Return affine - normal^-1 gradient, with all entries within bounds.
 
-    An entry that would leave the bounds is held there, and the others are solved for again: their
-    step was made for that entry as it was before it was held.
+    An entry that would leave the bounds is held there. The other entries are then solved for again,
+    since their steps depend on it.
     """
     bounds = _FIT.bounds
     moved = affine

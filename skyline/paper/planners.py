@@ -150,9 +150,9 @@ class Planner(Protocol):
     def __call__(self, problem: Problem, generator: np.random.Generator) -> Iterator[Int64Array]:
         """Yield sites (n,) of the problem's region to render, by their indices.
 
-        When the planner goes on, ``problem.coverage`` has the tolerance areas of these views. It
-        ends when the region is covered. All its random choices come from ``generator``, so that the
-        same seed gives the same plan.
+        When the planner goes on, ``problem.coverage`` has the tolerance areas of the views at these
+        sites. The planner ends when the region is covered. All its random choices come from
+        ``generator``, so that the same seed gives the same plan.
         """
 
 

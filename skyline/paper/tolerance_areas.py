@@ -209,7 +209,7 @@ def tolerance_errors_px(
 ) -> Float32Array:
     """Return the reprojection errors (N, K, K) in px around N views.
 
-    They are those of Equation 4 at the mean depth.
+    The views are warped by Equation 4 at the mean depth.
 
     The tolerance area is where these are within a threshold. Row 0 is the northernmost and column 0
     the westernmost, whatever the heading; the view is at [K // 2, K // 2], where the error is 0. It

@@ -110,7 +110,7 @@ class Correction:
     ----------
     photo : Photo
     beside_px : int
-        Columns beside those that a stroke changes, on each side, that are refined again with them.
+        Columns to either side of a stroke that are refined again with its own columns.
 
     Raises
     ------

@@ -294,7 +294,7 @@ def _lattice_of_roots(first: int, number: int) -> Int64Array:
 
 
 def _next_lattice(nodes: Int64Array, level: int) -> Int64Array:
-    """Return nodes (N, 2), and those that the next level adds."""
+    """Return nodes (N, 2), and the nodes that the next level adds."""
     half = _side(level) // 2
     beside = nodes + half
     if level % 2:
