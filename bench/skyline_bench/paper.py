@@ -54,12 +54,12 @@ def table1(
 
 
 def measure_table1(seeds: int, side: int, numbers: Sequence[int]) -> list[dict[str, Any]]:
-    """Run the strategies on rows of the table, each with seeds 0, 1, ...
+    """Run the strategies on rows of the table.
 
-    Return for each row and strategy the paper's figures, if its square is as large, and the means
-    and standard deviations over seeds of ``A``, ``B``, ``mean_area`` (of the views rendered) and
-    ``seconds`` (processor time), the mean ``coverage`` that is reached, and ``bound``, the sites
-    to cover divided by ``mean_area``.
+    Each is run with the seeds 0, 1, and so on. Returned are, for each row and strategy, the paper's
+    figures, if its square is as large, and the means and standard deviations over seeds of ``A``,
+    ``B``, ``mean_area`` (of the views rendered) and ``seconds`` (processor time), the mean
+    ``coverage`` that is reached, and ``bound``, the sites to cover divided by ``mean_area``.
     """
     rows = []
     for number in numbers:
@@ -132,7 +132,7 @@ _MOUNTAIN = _Mountain()
 
 
 def mountain_curve(row: Setup, side: int) -> Float32Array:
-    """Return the skyline of the mountain in space, (P, 3): right, up, forward.
+    """Return the mountain's skyline in space (P, 3): right, up, forward.
 
     The mountain stands before the middle of a square of ``side`` rows and columns of sites. Over
     its width stand equal peaks; a point higher on the mountain also stands further back, since a
@@ -151,12 +151,12 @@ def mountain_curve(row: Setup, side: int) -> Float32Array:
 
 
 class Simulation:
-    """A square of sites before a parametric mountain, for one row of Table 1.
+    """A square of sites before a parametric mountain.
 
-    Lengths are in sites (the pitch of the grid), and stand for metres in `skyline.paper`. The
-    eyes look north, over flat ground. A rendering is the upper envelope of the mountain's skyline
-    in the columns of a view. Tolerance areas, and ROV's knowledge of a site, are taken from the
-    package: `skyline.paper.tolerance_areas`.
+    It stands for one row of Table 1. Lengths are in sites (the pitch of the grid), and stand for
+    metres in `skyline.paper`. The eyes look north, over flat ground. A rendering is the upper
+    envelope of the mountain's skyline in the columns of a view. Tolerance areas, and ROV's
+    knowledge of a site, are taken from the package: `skyline.paper.tolerance_areas`.
     """
 
     def __init__(self, row: Setup, side: int = PAPER_SIDE) -> None:
@@ -185,7 +185,10 @@ class Simulation:
         return np.stack([self._u * depth, v * depth, depth], axis=2).astype(np.float64)
 
     def areas(self, points: Float64Array) -> BoolArray:
-        """Return the tolerance areas (N, K, K) of views with skyline points (N, P, 3)."""
+        """Return the tolerance areas (N, K, K) of views.
+
+        The views have skyline points (N, P, 3).
+        """
         window = self.sites.window
         around = np.broadcast_to(self._around, (len(points), window**2, 3))
         warp = tolerance_areas.affine_mean if self.row.affine else tolerance_areas.non_affine

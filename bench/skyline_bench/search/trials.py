@@ -1,7 +1,7 @@
-"""Trials: a matcher searches a store for a query; and the figures of trials.
+"""Trials of matchers, and their figures.
 
-A trial has the error of the best candidate. Shares have Wilson's intervals. Adaptive stores are
-compared with uniform ones.
+In a trial, a matcher searches a store for a query; the error of a trial is the best candidate's.
+Shares have Wilson's intervals. Adaptive stores are compared with uniform ones.
 """
 
 import math
@@ -85,9 +85,10 @@ def tried(matcher: Matcher, query: Query, narrowing: Narrowing | None, *, strang
 
 
 def _truth_ahead(matcher: Matcher, query: SyntheticQuery, result: MatchResult) -> float | None:
-    """Return how much less the refined true pose costs than the best candidate.
+    """Return how much less the true pose costs than the best candidate.
 
-    None where either does not exist: without refinement, or where nothing fits.
+    The true pose is refined. None where either does not exist: without refinement, or where nothing
+    fits.
     """
     truth = query.truth
     fov_deg = query.skyline.fov_deg or query.truth.fov_deg
