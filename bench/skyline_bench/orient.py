@@ -94,10 +94,10 @@ def orient(
 ) -> None:
     """How cameras stood at known places.
 
-    The photos are photographs, or made photos with labels and pixels, and a webcam's.
-    docs/howto/comparing-grids.md has the columns of a manifest. Places are given to 50 m. In the
-    tables, n is the number of photos, photographs or frames, and km2 the area from which made
-    photos come.
+    Photographs are oriented, or else made photos, with summits' names and pixels'
+    places in them, and frames of a webcam. docs/howto/comparing-grids.md has the
+    columns of a manifest. Places are given to 50 m. In the tables, n is the number
+    of photos, photographs or frames, and km2 the area from which made photos come.
     """
     name = photos.stem if photos else Path(dem[0]).stem
     wanted = [one for one in read_manifest(photos) if one.kind != EXTRACT] if photos else []

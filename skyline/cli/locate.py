@@ -77,8 +77,8 @@ def locate(
 ) -> None:
     """Find where photos were taken, fetching the elevation of the area.
 
-    The store of the area is built, too. Both are kept for the next photo of the area; `skyline
-    cache` lists them.
+    The store of the area is built, too. Both are kept for the next photo of the
+    area; `skyline cache` lists them.
     """
     common = entry_of(
         fov_deg, projection, near, bounds, (heading, heading_slack), eye_height, use_gps, peaks

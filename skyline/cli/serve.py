@@ -37,7 +37,8 @@ def serve(
 ) -> None:
     """Serve a page that finds the places of photos in a browser.
 
-    On the page, drop photos, mend their skylines, find places and fit poses by hand.
+    On the page, drop photos, mend their skylines, find places, and fit poses by
+    hand.
     """
     stores, photos = split_stores(store, photo or [])
     for one in photos:
