@@ -46,13 +46,13 @@ from skyline_bench.records import write_record
 from skyline_bench.search.stores import middle_deg
 
 _SIDE_M, _QUICK_SIDE_M = 5000.0, 2000.0
-"""Of the area that is built again and again."""
+"""Sides of the area that is built again and again, by default and with ``--quick``."""
 _JOB_OF_PLACES = JobSize(256, 64)
 _JOB_OF_VIEWS = JobSize(16, 4)
 _PART = PartSize(seconds=0.05)
 """Jobs and parts of a fraction of a second, so that builds are killed between many of them."""
 _LONGER = 1.3
-"""A build is killed at some time within so many times what an unbroken one takes."""
+"""A build is killed within the time of an unbroken build, times this."""
 _KILLS_A_BUILD = 3
 _READ_S, _COMMAND_S = 30, 60
 """A reader, or a command, that takes longer on such small files hangs."""
@@ -160,7 +160,7 @@ def _flips(whole: Path, folder: Path, flips: int) -> Row:
 
     Of the ``flips``, ``harmful`` ones change rows or keep them from being read, and ``found`` ones
     of these are found by `skyline store check`. ``silent`` ones get past readers of renderings, and
-    past `take` of places; ``crashes`` are those and hangs of readers and of the check.
+    past `take` of places; ``crashes`` are crashes and hangs of readers and of the check.
     """
     generator = np.random.default_rng(0)
     data = bytearray(whole.read_bytes())
@@ -200,7 +200,7 @@ def _mutations(whole: Path, folder: Path, cases: int) -> Row:
 
 
 def _read_as(path: Path, whole: Path) -> str:
-    """Read a store and return whether its rows are those of another."""
+    """Read a store and return whether it has the rows of another."""
     try:
         with open_store(path) as store, open_store(whole) as reference:
             if store.header.holds == PLACES:

@@ -1,8 +1,8 @@
 """Made photos that note heights, from the air and from the ground.
 
-Those from the air are of drones, towers and balloons. A drone notes its height above its take-off
-and the altitude of its barometer. Other photos note an altitude alone, many above the ellipsoid, as
-if it were above the sea.
+Photos from the air are taken from drones, towers and balloons. A drone notes its height above its
+take-off and the altitude of its barometer. Other photos note an altitude alone, many above the
+ellipsoid, as if it were above the sea.
 """
 
 import math

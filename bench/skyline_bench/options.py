@@ -73,7 +73,7 @@ def quick_with(**smaller: Any) -> Any:
 
 Floats = list[float] | None
 Names = list[str] | None
-"""Of options that may be repeated."""
+"""The values of an option that may be repeated."""
 
 Dems = Annotated[
     list[str],

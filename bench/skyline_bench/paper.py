@@ -119,11 +119,11 @@ class _Mountain:
     """The mountain of all rows and strategies; lengths are in sites."""
 
     distance: float = 9.0
-    """From the front row of sites to the mountain's near end."""
+    """Distance from the front row of sites to the mountain's near end."""
     breadth: float = 150.0
-    """From end to end."""
+    """Length of the mountain from end to end."""
     height: float = 17.0
-    """Of the peaks above the eyes."""
+    """Height of the peaks above the eyes."""
     setback: float = 18.0
     """How far the peaks stand behind the foot."""
 
@@ -370,10 +370,10 @@ def measure_quality(field: HeightField, viewpoints: int, seed: int) -> list[Row]
 
 
 def _choose_eyes(field: HeightField, viewpoints: int, seed: int) -> tuple[Viewpoints, Viewpoints]:
-    """Return the viewpoints, and all displaced ones, those of one viewpoint together."""
+    """Return the viewpoints, and all displaced ones, grouped by viewpoint."""
     generator = np.random.default_rng(seed)
     west, south, east, north = field.bounds_m
-    margin = 3000.0 + _AWAY_M  # Of a viewpoint from the map's border
+    margin = 3000.0 + _AWAY_M  # Least distance of a viewpoint from the map's border
     if not (east - west > 2.0 * margin and north - south > 2.0 * margin):
         raise InputError(
             f"the map is {(east - west) / 1e3:.1f} x {(north - south) / 1e3:.1f} km; expected more "

@@ -236,8 +236,8 @@ def grass_horizons(
 ) -> tuple[Float64Array, Float64Array]:
     """Return r.horizon's elevation angles (N, A) and seconds (N - 1,).
 
-    The field is without holes; heights of the eyes (N) are not used. Seconds are those of each
-    place but the first.
+    The field is without holes; heights of the eyes (N,) are not used. Each place but the first is
+    timed.
     """
     with tempfile.TemporaryDirectory() as folder:
         dem = Path(folder, "dem.tif")

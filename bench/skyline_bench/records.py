@@ -195,7 +195,7 @@ def read_record(path: Path) -> dict[str, Any]:
 def digest_of(path: Path) -> str:
     """Return the digest of a store, else the SHA-256 of a file.
 
-    That of a folder is over the names and digests of its files.
+    The digest of a folder is over the names and digests of its files.
     """
     with suppress(SkylineError), open_store(path) as store:
         return store.digest

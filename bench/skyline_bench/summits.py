@@ -181,8 +181,9 @@ def measure(
 def _horizons_beside(field: HeightField, file: _File, config: SummitsConfig) -> Row:
     """Return how high horizons beside summits are, by where the eye stands.
 
-    The shares of azimuths below 3 degrees, more than 1 degree off what is seen from the summit
-    itself, and whose horizon is nearer than a sample; the first from the summit itself too.
+    These are shares of azimuths: with a horizon below 3 degrees, with a horizon more than 1 degree
+    off the horizon of the summit itself, and with a horizon nearer than a sample. The first is
+    given from the summit itself, too.
     """
     row, col = _prominent(field)
     if not row.size:
@@ -316,7 +317,7 @@ def _summit_errors(
 
 
 def _greatest_tan(places: _Places, eyes: Float64Array) -> Float64Array:
-    """Return how high places reach as seen from eyes (3, S), (S,)."""
+    """Return the greatest tangent (S,) of places, seen from eyes (3, S)."""
     easting, northing, height_m = places
     east, north, up = eyes[:, :, np.newaxis]
     away = np.hypot(easting - east, northing - north)

@@ -409,7 +409,8 @@ _WEST_M, _NORTH_M = 600_000.0, 5_180_000.0
 _RENDERED_PX = 1024
 """Columns of the depth images of a heading, of 90 degrees."""
 _POSES = 4
-"""Poses of which the one that shows most skyline is drawn: most others show a slope alone."""
+"""Poses that are tried for a photo. The pose that shows most skyline is drawn, since most others
+show a slope alone."""
 _PLACES_SHARE = 0.3
 """Share of the terrain, at its middle, in which eyes stand."""
 

@@ -614,7 +614,7 @@ def summits(results: Results) -> Table:
 
 
 def on_a_summit(results: Results) -> Table:
-    """Return how horizons from beside summits agree with those of the summits."""
+    """Return how horizons beside summits agree with horizons on summits."""
     ways = {
         "slope": "on the slope",
         "summit_height": "as high as the summit",

@@ -20,7 +20,7 @@ LOCATE = "locate"
 REFUSE = "refuse"
 """A photograph for which no answer is right."""
 EXTRACT = "extract"
-"""A photograph of which the skyline alone counts."""
+"""A photograph that is measured by its skyline alone."""
 KINDS = (LOCATE, REFUSE, EXTRACT)
 
 
@@ -29,8 +29,8 @@ class Photograph:
     """One line of a manifest; None stands for an unknown value."""
 
     photo: Path  # A photo, or a trace that is matched as if it were one
-    kind: str  # Of `KINDS`
-    # Where it was taken; of one to refuse, where the store is.
+    kind: str  # One of `KINDS`
+    # Where it was taken; for a photograph to refuse, where the store is.
     lon: float | None = None
     lat: float | None = None
     # How the camera truly stood.
@@ -59,7 +59,7 @@ class Photograph:
 
     @property
     def lonlat(self) -> tuple[float, float]:
-        """Where it was taken, of one that is to be located."""
+        """Where a photograph was taken that is to be located."""
         return self.lon or 0.0, self.lat or 0.0
 
     def true_row_px(self, width_px: int, height_px: int) -> Float64Array | None:

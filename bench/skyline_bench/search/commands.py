@@ -41,7 +41,7 @@ from skyline_bench.search.stores import BuiltStore, StoreSpec, middle_deg
 
 _GRIDS_M = (1024.0, 512.0, 256.0, 128.0)
 _THRESHOLDS_PX = (12.0, 6.0, 3.0)
-"""Of the paper's planner: from few renderings to many."""
+"""Thresholds of the paper's planner, from few renderings to many."""
 _FOUND = "km2 n within_200m within_1km median_m mean_m answered precision query_s"
 _QUICK_M = 3000.0
 """Sides of the square that is searched by default with ``--quick``."""
@@ -64,15 +64,15 @@ class Search:
     takes: str  # How long the whole comparison takes on 2 cores without a GPU
     columns: str  # Printed; rows of groups are printed where "group" is among them
     stores: tuple[StoreSpec, ...] = (StoreSpec(),)
-    matchers: tuple[str, ...] = (FULL,)  # Of `skyline_bench.search.trials.MATCHERS`
-    kinds: tuple[str, ...] = ("plain",)  # Names of `skyline_bench.queries.kinds.KINDS`
-    queries: int = 100  # Of each kind
+    matchers: tuple[str, ...] = (FULL,)  # Names in `skyline_bench.search.trials.MATCHERS`
+    kinds: tuple[str, ...] = ("plain",)  # Names in `skyline_bench.queries.kinds.KINDS`
+    queries: int = 100  # Number of queries of each kind
     areas_km2: tuple[float, ...] = ()  # Squares that are searched, beside the whole area
     by_thirds: bool = False  # Whether queries are grouped by thirds of their distances
     in_middle: bool = True  # Whether the area is by default 5 x 10 km in the DEM's middle
     # West, south, east, north of the area; by default all of the DEM, or what a given store covers.
     bounds_deg: Bounds | None = None
-    seed: int = 0  # Of the queries
+    seed: int = 0  # Seed of the queries
 
     def area_deg(self) -> Bounds | None:
         """Return the bounds of the area; None for all of the DEM."""

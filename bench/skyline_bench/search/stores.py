@@ -44,7 +44,7 @@ class StoreSpec:
     """
 
     holds: str = PLACES  # Places or renderings
-    spacing_m: float | None = None  # Of a uniform grid; places are planned without it
+    spacing_m: float | None = None  # Spacing of a uniform grid; places are planned without it
     places: int | None = None  # About so many planned places; by default as many as a build plans
     plan: PlanConfig | None = None  # A plan of the paper's, which is of renderings
     path: Path | None = None  # A store that exists already

@@ -164,11 +164,11 @@ def float32_bound_px(scene: SkylineScene, views: Views, truth: Views) -> Float64
     - the depth of a crossing 7 roundings, the division and the scale 2.
 
     Altogether |dv| <= e (15 |v| + 2.5 D / z + 18 drop / z + 9 r D / s). Nearer than one cell
-    D / z grows; the renderer turns to float64 where it reckons that this costs 0.004 px with the
-    greatest height over the eye for D, of which the difference of two heights is at most twice.
+    D / z grows; the renderer turns to float64 where it reckons that this costs 0.004 px. It takes
+    the greatest height over the eye for D; the difference of two heights is at most twice as large.
 
-    The greatest of several crossings is wrong by no more than the worst of those that are
-    greatest in the truth or in the rendering, whence the lesser depth and the greater v.
+    Where the truth and the rendering have different greatest crossings, the error is at most the
+    worse of the two crossings' errors. So the lesser depth and the greater v are taken.
     """
     field = scene.field
     pixel = pixel_size(scene.width)
