@@ -105,7 +105,7 @@ def area_of(photos: Sequence[Picture], narrowing: Narrowing) -> tuple[Area, Narr
     if not np.hypot(np.ptp(east), np.ptp(north)) <= 1000.0 * _TOGETHER_KM:
         raise InputError(
             f"the photos were taken more than {_TOGETHER_KM:g} km apart, by their EXIF; locate "
-            "those of one area at a time, or give --near LON,LAT,KM"
+            "the photos of one area at a time, or give --near LON,LAT,KM"
         )
     area = Area.around(positions, NOTED_KM, _NEEDED_KM)
     if len(positions) == 1:

@@ -86,10 +86,10 @@ class Example:
     """The figures of a query's best pose, and the pose's error."""
 
     figures: Mapping[str, float]
-    # Of a place, metres, infinite where the pose looks another way; of a heading, degrees; infinite
-    # for a query of other terrain.
+    # The error of a place, metres, infinite where the pose looks another way; or the error of a
+    # heading, degrees. Infinite for a query of other terrain.
     error: float
-    kind: str = ""  # Of the query
+    kind: str = ""  # The kind of the query
     turn_deg: float = 0.0  # Error of the heading of a place
 
 
@@ -212,7 +212,7 @@ def photographed(
 ) -> Iterator[SyntheticQuery]:
     """Yield queries with the skylines that are extracted from photographs of them.
 
-    Those in whose photograph no skyline is found are left out.
+    A query is left out if no skyline is found in its photograph.
     """
     rng = np.random.default_rng([seed, 2])
     low_m, high_m = terrain.height_range_m

@@ -29,7 +29,7 @@ _DRAWN_PX, _TIMES = (2060, 485), 4
 """Size at which panoramas are drawn, and the factor by which they are enlarged."""
 _RENDERED_PX = 2048
 _WITHIN_M = 4_500.0
-"""Of the area's middle: eyes this near to one another are searched in one area."""
+"""Distance of eyes from the area's middle: all of them are searched in one area."""
 _TRIES = 400
 _FAR_M = 2_000.0
 """Least median distance of the skyline: nobody sweeps a phone along a bank."""

@@ -41,18 +41,18 @@ from skyline_training.workers import over_processes
 _SIZE_PX = (560, 416)
 _PANORAMA_PX = (1232, 280)
 _WAYS = 8
-"""Of so many photographs one is drawn plainly, one is a view and one a panorama: no way of
-drawing is like the world."""
+"""Of so many photographs, one is drawn plainly, one is a view and one is a panorama: no single way
+of drawing is like the world."""
 _FAMILY = 64
 """Photographs in a row whose views are of the same terrain."""
 _FAR_RIDGES_CHANCE = 0.5
-"""Of pale ridges behind the mountains."""
+"""Chance of pale ridges behind the mountains."""
 _LOW_SUN_CHANCE = 0.2
-"""Of mountains against the light, or lit by a sun at the horizon."""
+"""Chance of mountains against the light, or lit by a sun at the horizon."""
 _NEAR_SLOPE_CHANCE = 0.5
-"""Of a dark slope before the mountains: it must not be taken for the skyline."""
+"""Chance of a dark slope before the mountains: it must not be taken for the skyline."""
 _CUT_SKY_CHANCE = 0.15
-"""Of a sky of one colour: burnt out, or cut away by a program."""
+"""Chance of a sky of one colour: burnt out, or cut away by a program."""
 _PANORAMA_DEG = 90.0
 _LEAST_CONTRAST = 2.5
 """Levels between sky and ground below which no eye would see a skyline."""

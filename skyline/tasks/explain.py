@@ -1,4 +1,7 @@
-"""The terrain that a skyline depends on, and its resulting error."""
+"""The terrain that a skyline depends on, and its error.
+
+The error is due to terrain that is left out.
+"""
 
 import numpy as np
 
