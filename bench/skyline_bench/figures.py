@@ -58,8 +58,8 @@ def figures(
     """The tables, figures and diagrams of README.md and docs/, from the records.
 
     Tables are written between the lines <!-- figures: NAME --> and
-    <!-- end of figures -->, figures into the sentences that have them, and constants and equations
-    of the code beside the comments that name them.
+    <!-- end of figures -->, figures into the sentences that have them, and
+    constants and equations of the code beside the comments that name them.
     """
     records = Results(results)
     for page in pages_in(out):

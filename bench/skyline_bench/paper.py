@@ -45,8 +45,9 @@ def table1(
 ) -> None:
     """The paper's Table 1: viewpoints (A) and overlap (B) of each strategy.
 
-    A, B, the area and the seconds are means over n seeds. The paper's A and B belong to its
-    square of 100 sites a side, and are left out beside another.
+    A, B, the area and the seconds are means over n seeds. The paper's A and B
+    belong to its square of 100 sites a side, and are left out beside a square of
+    another size.
     """
     rows = measure_table1(seeds, side, row or [1, 2, 3])
     columns = "row strategy n paper_A A A_std paper_B B mean_area bound seconds"
