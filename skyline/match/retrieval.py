@@ -1,12 +1,12 @@
 """Retrieval: from rays to a short list of poses in a store.
 
-Coarse to fine: screening compares every heading of groups of places by phases
-(`skyline.match.screen`). Then whole poses are fitted to the skylines of the best places, first
-roughly to many of them, then well to fewer (`skyline.match.fit`). A short list holds the best poses
-that differ from one another.
+Coarse to fine: screening compares the headings of every place by phases, roughly, and of the best
+ones again, well (`skyline.match.screen`). Then whole poses are fitted to the skylines of the best
+places, first roughly to many of them, then well to fewer (`skyline.match.fit`). A short list holds
+the best poses that differ from one another.
 
-Best first: the first short list is of the few most promising places, among which most photos have
-theirs. The last one is of all that are worth a fit.
+Best first: the first short list is of the most promising places, among which most photos have
+theirs. The last one is of all places that are worth a fit.
 """
 
 import math
@@ -23,7 +23,15 @@ from skyline.errors import InputError
 from skyline.match.fit import GOOD_FIT, ROUGH_FIT, CurveFit, FitEffort
 from skyline.match.prior import NOTHING_KNOWN, Prior
 from skyline.match.rays import REFERENCE_FOV_DEG, Rays, in_runs
-from skyline.match.screen import ReportProgress, Screen, screen_places, silent
+from skyline.match.screen import (
+    Alike,
+    ReportProgress,
+    Scores,
+    Screen,
+    rescored,
+    screen_places,
+    silent,
+)
 from skyline.pose import Poses
 from skyline.store.mapped_places import PlaceSource
 from skyline.store.places import Places
@@ -36,8 +44,14 @@ class RetrievalEffort:
 
     sample: int = 2048
     """Places from which the mean and the deviation of a photo's scores are estimated."""
+    coarse_step: float = 0.36
+    """Step of `Rays.log_scale` between the fields of view that are screened coarsely."""
     screened_step: float = 0.18
     """Step of `Rays.log_scale` between the fields of view that are screened."""
+    screened_again: int = 2
+    """Multiple of the wanted number of places that is screened again after the coarse screen."""
+    first: int = 2048
+    """Places of the first short list."""
     start_step: float = 0.065
     """Step of `Rays.log_scale` between the fields of view that fits start from."""
     likely_sd: float = 2.5
@@ -45,8 +59,6 @@ class RetrievalEffort:
     screened, though fits may start there."""
     unlikely_penalty: float = 0.25
     """Penalty of a field of view in screening, over the square of its standard deviations."""
-    first: int = 2048
-    """Places of the first short list."""
     rough_share: float = 0.05
     """Share of the places to which poses are fitted roughly."""
     rough_least: int = 16_384
@@ -58,7 +70,7 @@ class RetrievalEffort:
     starts: float = 1.5
     """Mean number of rough fits for a place."""
     good_share: float = 1 / 3
-    """Share of the rough fits from which poses are fitted well."""
+    """Share of the rough fits from which poses are fitted well: the best ones."""
     good_most: int = 8192
     separation_m: float = 30.0
     """A pose nearer to a better one that looks the same way is left out of the short list."""
@@ -103,7 +115,7 @@ class Retriever:
         prior: Prior = NOTHING_KNOWN,
         report: ReportProgress = silent,
     ) -> Poses:
-        """Return the last short list of a photo; see `shortlists`."""
+        """Return the last of `shortlists`."""
         *_, last = self.shortlists(rays, count, prior, report)
         return last
 
@@ -119,23 +131,53 @@ class Retriever:
         Poses may lie between the places. Each list has the best poses of the lists before it.
         Raises `InputError` where the search is narrowed to no place.
         """
-        scores = self._screen(rays, prior).scores
-        alike = screen_places(scores, self.places, self._rough, prior.contains, report)
-        if not len(alike):
-            raise self._no_place_error([prior])
-        separation_m = _EFFORT.separation_m
-        best: Poses | None = None
-        for part in (alike[: _EFFORT.first], alike[_EFFORT.first :]):
+        best: list[Poses] = []
+        counts = (min(_EFFORT.first, self._rough), self._rough)
+        for alike in self._screened([self._screens(rays, prior)], [prior], counts, report):
+            places = self.places.take(alike.row)
+            start = self._start(rays, prior, places, alike.score, _EFFORT.turns)
+            fitted = self._fitted([rays], [start], report)[0]
+            best.append(fitted[prior.allows(fitted)])
+            poses = Poses.concatenate(best)
+            distinct = poses.suppress_non_maxima(count, _EFFORT.separation_m, _EFFORT.same_turn_deg)
+            best = [poses[distinct]]
+            yield best[0]
+
+    def _screened(
+        self,
+        screens: Sequence[Sequence[Screen]],
+        priors: Sequence[Prior],
+        counts: Sequence[int],
+        report: ReportProgress,
+    ) -> Iterator[Alike]:
+        """Yield the best places of photos: the best few, then those that follow, and so on.
+
+        ``screens`` has a coarse and a fine one for each photo, and ``counts`` how many places there
+        are in all after each part. The scores of photos are added. Raises `InputError` where the
+        search is narrowed to no place.
+        """
+        coarse, fine = (_sum_of(level) for level in zip(*screens, strict=True))
+        waiting = screen_places(
+            coarse,
+            self.places,
+            _EFFORT.screened_again * counts[-1],
+            lambda some: np.all([prior.contains(some) for prior in priors], axis=0),
+            lambda share: report("screening", share),
+        )
+        if not len(waiting):
+            raise self._no_place_error(priors)
+        known = waiting[:0]
+        given = 0
+        for count in counts:
+            again = _EFFORT.screened_again * count - given - len(known)
+            known = Alike.joined([known, rescored(fine, self.places, waiting[:again])])
+            known = known.best(len(known))
+            waiting = waiting[again:]
+            part = known[: count - given]
+            known = known[count - given :]
+            given += len(part)
             if len(part):
-                places = self.places.take(part.row)
-                start = self._start(rays, prior, places, part.score, _EFFORT.turns)
-                fitted = self._fitted([rays], [start], report)[0]
-                fitted = fitted[prior.allows(fitted)]
-                best = fitted if best is None else Poses.concatenate([best, fitted])
-                best = best[
-                    best.suppress_non_maxima(count, separation_m, _EFFORT.same_turn_deg)
-                ]
-                yield best
+                yield part
 
     def fitted_all_round(self, rays: Rays) -> Poses:
         """Return poses fitted to a photo at every place.
@@ -172,20 +214,12 @@ class Retriever:
         `InputError` where the search is narrowed to no place.
         """
         priors = [prior for _, prior in photos]
-        screens = [self._screen(rays, prior) for rays, prior in photos]
-        alike = screen_places(
-            lambda phase: np.sum([screen.scores(phase) for screen in screens], axis=0),
-            self.places,
-            self._rough,
-            lambda some: np.all([prior.contains(some) for prior in priors], axis=0),
-            report,
-        )
-        if not len(alike):
-            raise self._no_place_error(priors)
+        screens = [self._screens(rays, prior) for rays, prior in photos]
+        alike = next(self._screened(screens, priors, [self._rough], report))
         places = self.places.take(alike.row)
         starts = [
-            self._start(rays, prior, places, screen.scores(places.phase), 1)
-            for (rays, prior), screen in zip(photos, screens, strict=True)
+            self._start(rays, prior, places, fine.scores(places.phase), 1)
+            for (rays, prior), (_, fine) in zip(photos, screens, strict=True)
         ]
         found = self._fitted([rays for rays, _ in photos], starts, report)
         shared = {
@@ -204,14 +238,24 @@ class Retriever:
             "a store of that area" + next(filter(None, hints), "")
         )
 
-    def _screen(self, rays: Rays, prior: Prior) -> Screen:
-        """Return the screen that finds places: of few, likely fields of view."""
+    def _screens(self, rays: Rays, prior: Prior) -> tuple[Screen, Screen]:
+        """Return the coarse and the fine screen that find places: of few, likely fields of view."""
         likely = _EFFORT.likely_sd * rays.log_scale_sd
         low, high = np.clip(rays.log_scale_bounds, -likely, likely)
-        log_scales = _even_log_scales(rays, float(low), float(high), _EFFORT.screened_step)
+
+        def screen(step: float, *, coarse: bool) -> Screen:
+            log_scales = _even_log_scales(rays, float(low), float(high), step)
+            return self._screen(rays, prior, log_scales, coarse=coarse)
+
+        return screen(_EFFORT.coarse_step, coarse=True), screen(_EFFORT.screened_step, coarse=False)
+
+    def _screen(
+        self, rays: Rays, prior: Prior, log_scales: Float64Array, *, coarse: bool = False
+    ) -> Screen:
+        """Return a screen of fields of view, unlikely ones with a penalty."""
         penalty = _EFFORT.unlikely_penalty * np.square(log_scales / rays.log_scale_sd)
         fovs_deg = rays.searched_fov_deg(log_scales)
-        return Screen(rays, fovs_deg, self._sample, prior.open_turns, penalty)
+        return Screen(rays, fovs_deg, self._sample, prior.open_turns, penalty, coarse=coarse)
 
     def _start(
         self, rays: Rays, prior: Prior, places: Places, score: Float32Array, turns: int
@@ -222,8 +266,7 @@ class Retriever:
         handled in small groups, because each is compared at every turn.
         """
         log_scales = _start_log_scales(rays)
-        fovs_deg = rays.searched_fov_deg(log_scales)
-        screen = Screen(rays, fovs_deg, self._sample, prior.open_turns)
+        screen = self._screen(rays, prior, log_scales)
         groups = range(0, len(places), _PLACES_AT_ONCE)
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             found = pool.map(
@@ -309,6 +352,11 @@ def _total(found: Sequence[Poses]) -> Float64Array:
     if len(found) == 1:
         return found[0].cost
     return np.asarray(sum(np.minimum(one.cost, np.median(one.cost)) for one in found))
+
+
+def _sum_of(screens: Sequence[Screen]) -> Scores:
+    """Return a function that adds the scores of several photos."""
+    return lambda phase: np.sum([screen.scores(phase) for screen in screens], axis=0)
 
 
 def _even_log_scales(rays: Rays, low: float, high: float, step: float) -> Float64Array:

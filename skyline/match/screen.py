@@ -12,6 +12,9 @@ where r_q is the rate at which a phase changes as the camera rolls. The second t
 the roll that suits the turn best, to second order, with all rolls equally likely. A roll of 5
 degrees adds as much to every rise as a smooth skyline has.
 
+Screening is coarse to fine: a `Screen` that is coarse compares every place, and one that is not the
+best of them.
+
 A photo sees part of the full turn. The sums of twenty neighbouring turns are therefore one product
 of a strip of phases, a little wider than the photo, with a matrix that holds the photo twenty
 times, each time one bin farther.
@@ -20,7 +23,6 @@ Places come in blocks that may be mapped from a file, and only the best so far a
 does not grow with the store.
 """
 
-import math
 import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -35,7 +37,6 @@ from skyline.arrays import (
     Complex128Array,
     Float32Array,
     Float64Array,
-    Int64Array,
     IntArray,
     Rows,
     UInt8Array,
@@ -50,18 +51,22 @@ ReportProgress = Callable[[str, float], None]
 exception that it raises ends the match."""
 
 _TURNS_AT_ONCE = 20
-"""Turns scored by one product; must divide the number of bins. With more turns, more of each
-product is wasted; with fewer, the products are too small to be fast."""
+"""Turns that one product goes through; must divide the number of bins. With more turns, more of
+each product is wasted; with fewer, the products are too small to be fast."""
+_COARSE_TURNS = 2
+"""Bins from turn to turn of a coarse screen; must divide `_TURNS_AT_ONCE`."""
 _APART_TURNS = 6
 """Least difference of the best turns of a place: 12 degrees."""
-_GROUP = 8
-"""Places of a group, of which the head is compared first."""
-_FOLLOWED = 0.1
-"""Share of the groups whose other places are compared too."""
-_PLACES_OF_A_THREAD = 4096
-"""Places that a thread takes. With fewer, two threads spend half their time waiting for the GIL."""
+_SLACK = 4
+"""Multiple of the wanted number of places that is kept before the worst are dropped."""
+_BLOCKS_AT_ONCE = 16
+"""Blocks that a thread takes. With one, two threads spend half their time waiting for the GIL."""
 _PLACES_AT_ONCE = 1024
 """Places scored together, so that memory does not grow with the number of places."""
+
+
+Scores = Callable[[UInt8Array], Float32Array]
+"""Returns the scores (N,) of phases (N, B): `Screen.scores`, or a sum of several."""
 
 
 def silent(step: str, share: float) -> None:
@@ -110,6 +115,8 @@ class Screen:
         The turns that are searched; by default all.
     penalty : (F,) float64, optional
         Loss of the scores at each field of view, in deviations; by default none.
+    coarse : bool
+        Every other turn is compared, with a level camera. That takes a quarter of the time.
     """
 
     def __init__(
@@ -119,9 +126,16 @@ class Screen:
         sample: Places,
         open_turns: BoolArray | None = None,
         penalty: Float64Array | None = None,
+        *,
+        coarse: bool = False,
     ) -> None:
+        self._turn_step = _COARSE_TURNS if coarse else 1
         every = np.ones(PHASE_BINS, dtype=bool)
-        self.open_turns = every if open_turns is None else open_turns
+        opened = every if open_turns is None else open_turns
+        if coarse:
+            # A compared turn stands for the ones beside it.
+            opened = opened | np.roll(opened, 1) | np.roll(opened, -1)
+        self.open_turns = opened[:: self._turn_step]
         level = np.stack([waves_of(rays.with_fov(float(fov))) for fov in fovs_deg])
         seen = np.flatnonzero(np.abs(level).any(axis=0))
         # Bins from half a turn left of straight ahead.
@@ -130,9 +144,11 @@ class Screen:
         self._first = first
         self._span = last - first + 1
         self._fovs = len(fovs_deg)
-        # (2, 2 (span + T - 1), F T) float32. The photo at F fields of view and T turns, and its
-        # derivative by roll, scaled so that the square of the second product is the gain of a roll.
-        self._matrices = _at_turns(np.stack([level, _rolled(level)])[:, :, first : last + 1])
+        # (2, 2 (span + 19), F T) float32. The photo at F fields of view and the T compared ones of
+        # 20 turns, and its derivative by roll, scaled so that the square of the second product is
+        # the gain of a roll. A coarse screen has no derivative.
+        waves = np.stack([level] if coarse else [level, _rolled(level)])
+        self._matrices = _at_turns(waves[:, :, first : last + 1], self._turn_step)
         sums = self._every_turn(sample.phase)
         mean = sums.mean(axis=(0, 2), dtype=np.float64).astype(np.float32)
         deviation = sums.std(axis=(0, 2), dtype=np.float64).astype(np.float32)
@@ -151,7 +167,7 @@ class Screen:
         return np.concatenate([self._scores(phase[k : k + _PLACES_AT_ONCE]) for k in parts])
 
     def _scores(self, phase: UInt8Array) -> Float32Array:
-        opened = self.open_turns.reshape(-1, _TURNS_AT_ONCE)
+        opened = self.open_turns.reshape(PHASE_BINS // _TURNS_AT_ONCE, -1)
         parts = np.flatnonzero(opened.any(axis=1))
         sums = self._sums(phase, slice(None) if len(parts) == len(opened) else parts)
         if not opened.all():
@@ -187,7 +203,7 @@ class Screen:
     def _every_turn(self, phase: UInt8Array) -> Float32Array:
         """Return the sums (N, F, B) at every turn."""
         sums = self._sums(phase, slice(None)).transpose(1, 2, 0, 3)
-        return sums.reshape(len(phase), self._fovs, PHASE_BINS)
+        return sums.reshape(len(phase), self._fovs, len(self.open_turns))
 
     def _sums(self, phase: UInt8Array, parts: slice | IntArray) -> Float32Array:
         """Return the sums (C, N, F, T) at runs of T turns."""
@@ -195,11 +211,12 @@ class Screen:
         strip = np.concatenate([phase[:, self._first :], phase, phase], axis=1)[:, :wanted]
         waves = decode_phases(strip).view(np.float32)
         runs = sliding_window_view(waves, self._matrices.shape[1], axis=1)[:, :: 2 * _TURNS_AT_ONCE]
-        # Two products: the halves of one would lie apart, and squaring them takes as long again.
-        level, rolled = np.matmul(runs[:, parts].transpose(1, 0, 2), self._matrices[:, np.newaxis])
-        np.square(rolled, out=rolled)
-        level += rolled
-        return np.reshape(level, (len(level), len(phase), self._fovs, _TURNS_AT_ONCE))
+        # Several products: the parts of one would lie apart, and squaring them takes as long again.
+        level, *rolled = np.matmul(runs[:, parts].transpose(1, 0, 2), self._matrices[:, np.newaxis])
+        for change in rolled:
+            np.square(change, out=change)
+            level += change
+        return np.reshape(level, (len(level), len(phase), self._fovs, -1))
 
 
 def _rolled(level: Complex128Array) -> Complex128Array:
@@ -212,17 +229,18 @@ def _rolled(level: Complex128Array) -> Complex128Array:
     return np.asarray(1j * scale[:, np.newaxis] * growth * level)
 
 
-def _at_turns(waves: Complex128Array) -> Float32Array:
-    """Return matrices that hold waves (P, F, S) at T turns.
+def _at_turns(waves: Complex128Array, step: int) -> Float32Array:
+    """Return matrices that hold waves (P, F, S) at every ``step``-th of 20 turns.
 
-    They are (P, 2 (S + T - 1), F T).
+    They are (P, 2 (S + 19), F T).
     """
     kinds, fovs, span = waves.shape
+    turns = range(0, _TURNS_AT_ONCE, step)
     bins = span + _TURNS_AT_ONCE - 1
-    matrices = np.zeros((kinds, bins, 2, fovs, _TURNS_AT_ONCE), dtype=np.float32)
-    for turn in range(_TURNS_AT_ONCE):
-        matrices[:, turn : turn + span, 0, :, turn] = waves.real.swapaxes(1, 2)
-        matrices[:, turn : turn + span, 1, :, turn] = waves.imag.swapaxes(1, 2)
+    matrices = np.zeros((kinds, bins, 2, fovs, len(turns)), dtype=np.float32)
+    for column, turn in enumerate(turns):
+        matrices[:, turn : turn + span, 0, :, column] = waves.real.swapaxes(1, 2)
+        matrices[:, turn : turn + span, 1, :, column] = waves.imag.swapaxes(1, 2)
     return matrices.reshape(kinds, 2 * bins, -1)
 
 
@@ -256,114 +274,63 @@ def turns_within(grid_heading_deg: float, slack_deg: float) -> BoolArray:
 
 
 def screen_places(
-    scores: Callable[[UInt8Array], Float32Array],
+    scores: Scores,
     source: PlaceSource,
     count: int,
     contains: Callable[[Places], BoolArray],
-    report: ReportProgress = silent,
-) -> Alike:
-    """Return the best ``count`` places of a source, compared coarse to fine.
-
-    Neighbouring places form groups. The head of each group is compared first, then all places of
-    the groups with the best heads. There are fewer places if fewer are contained. ``scores`` gives
-    the scores (N,) of phases (N, B): `Screen.scores`, or a sum of several; ``contains`` marks which
-    places (N,) of a block are searched.
-    """
-    groups = np.concatenate(
-        [
-            np.zeros((0, _GROUP), dtype=np.intp),
-            *(
-                first + groups_of_neighbours(places, contains(places))
-                for first, places in _numbered(source)
-            ),
-        ]
-    )
-    heads = _screened(scores, source, groups[:, 0], lambda share: report("screening", 0.5 * share))
-    wanted = max(math.ceil(_FOLLOWED * len(groups)), math.ceil(count / _GROUP))
-    best = np.lexsort((groups[:, 0], -heads.score))[:wanted]
-    others = np.unique(groups[best, 1:])
-    others = others[~np.isin(others, groups[:, 0])]
-    rest = _screened(scores, source, others, lambda share: report("screening", 0.5 + 0.5 * share))
-    return Alike.joined([heads, rest]).best(count)
-
-
-def groups_of_neighbours(places: Places, searched: BoolArray) -> IntArray:
-    """Return the searched places of a block in groups (G, 8) of neighbours, by index.
-
-    A group's head, the place nearest to its middle, comes first. The last group repeats a place
-    where there are not enough.
-    """
-    index = np.flatnonzero(searched)
-    if not len(index):
-        return np.zeros((0, _GROUP), dtype=np.intp)
-    place_m = places.easting_m[index] + 1j * places.northing_m[index]
-    order = np.argsort(_along_curve(place_m), kind="stable")
-    count = -(-len(index) // _GROUP)
-    groups = order[np.minimum(np.arange(count * _GROUP), len(index) - 1)].reshape(count, _GROUP)
-    off_m = np.abs(place_m[groups] - place_m[groups].mean(axis=1, keepdims=True))
-    head = off_m.argmin(axis=1)
-    row = np.arange(count)
-    groups[row, head], groups[:, 0] = groups[:, 0].copy(), groups[row, head]
-    return index[groups]
-
-
-def _along_curve(place_m: Complex128Array) -> Int64Array:
-    """Return how far along a curve through all cells of a square places lie.
-
-    The curve is Morton's, which interleaves the bits of both coordinates: places that are near each
-    other along it are near each other on the map.
-    """
-    corner = place_m.real.min() + 1j * place_m.imag.min()
-    off_m = place_m - corner
-    cell_m = max(off_m.real.max(), off_m.imag.max(), 1.0) / 1023.0
-    code = np.zeros(len(place_m), dtype=np.int64)
-    for axis, cells in enumerate((off_m.real / cell_m, off_m.imag / cell_m)):
-        whole = cells.astype(np.int64)
-        for bit in range(10):
-            code |= (whole >> bit & 1) << (2 * bit + axis)
-    return code
-
-
-def _screened(
-    scores: Callable[[UInt8Array], Float32Array],
-    source: PlaceSource,
-    rows: IntArray,
     report: Callable[[float], None],
 ) -> Alike:
-    """Return some places of a source, with their scores, in the order of ``rows``."""
-    order = np.argsort(rows, kind="stable")
-    score = np.zeros(len(rows), dtype=np.float32)
-    parts = _phases(source, rows[order])
-    done = 0
+    """Return the best ``count`` places of a source, best first.
+
+    There are fewer if fewer are contained. ``contains`` marks which places (N,) of a block are
+    searched; the share that is done is reported.
+    """
+
+    def scored(blocks: list[tuple[int, Places]]) -> tuple[Alike, int]:
+        parts = []
+        for start, places in blocks:
+            chosen = np.flatnonzero(contains(places))
+            if len(chosen):
+                phase = places.phase if len(chosen) == len(places) else places.phase[chosen]
+                parts.append(Alike(start + chosen, scores(phase)))
+        return Alike.joined(parts), sum(len(places) for _, places in blocks)
+
+    batches = _batches(source)
+    kept = Alike.joined([])
+    seen = 0
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        # A few parts are in work at a time, so that memory does not grow with the store.
-        ahead = [pool.submit(scores, part) for part in islice(parts, 2 * (os.cpu_count() or 1))]
+        # A few batches are in work at a time, so that memory does not grow with the store.
+        ahead = [pool.submit(scored, batch) for batch in islice(batches, 2 * (os.cpu_count() or 1))]
         while ahead:
-            found = ahead.pop(0).result()
-            ahead.extend(pool.submit(scores, part) for part in islice(parts, 1))
-            score[order[done : done + len(found)]] = found
-            done += len(found)
-            report(done / len(rows))
-    return Alike(rows, score)
+            found, places = ahead.pop(0).result()
+            ahead.extend(pool.submit(scored, batch) for batch in islice(batches, 1))
+            seen += places
+            report(seen / max(len(source), 1))
+            kept = Alike.joined([kept, found])
+            if len(kept) > _SLACK * count:
+                kept = kept.best(count)
+    return kept.best(count)
 
 
-def _phases(source: PlaceSource, rows: IntArray) -> Iterator[UInt8Array]:
-    """Yield the phases of places, whose rows are in order, some thousands at a time."""
-    parts: list[UInt8Array] = []
-    for first, places in _numbered(source):
-        begin, end = np.searchsorted(rows, (first, first + len(places)))
-        if end > begin:
-            parts.append(places.phase[rows[begin:end] - first])
-        if sum(map(len, parts)) >= _PLACES_OF_A_THREAD:
-            yield np.concatenate(parts)
-            parts = []
-    if parts:
-        yield np.concatenate(parts)
+def rescored(scores: Scores, source: PlaceSource, alike: Alike) -> Alike:
+    """Return places with other scores, best first."""
+    order = np.argsort(alike.row, kind="stable")
+    rows = alike.row[order]
+    parts = range(0, len(rows), _PLACES_AT_ONCE)
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        found = pool.map(lambda k: scores(source.phases(rows[k : k + _PLACES_AT_ONCE])), parts)
+        none = np.zeros(0, dtype=np.float32)
+        return Alike(rows, np.concatenate([none, *found])).best(len(rows))
 
 
-def _numbered(source: PlaceSource) -> Iterator[tuple[int, Places]]:
-    """Yield a source's blocks of places, each with its first row."""
+def _batches(source: PlaceSource) -> Iterator[list[tuple[int, Places]]]:
+    """Yield lists for one thread of places' blocks and first rows."""
+    batch = []
     first = 0
     for places in source.blocks():
-        yield first, places
+        batch.append((first, places))
         first += len(places)
+        if len(batch) == _BLOCKS_AT_ONCE:
+            yield batch
+            batch = []
+    yield batch

@@ -118,21 +118,23 @@ class FullMatcher(SearchMethod):
     ) -> tuple[Poses, Poses | None]:
         """Return the poses retrieved for a photo, and the refined ones.
 
-        The refined ones are None without a scene. A quick refinement comes first, and is enough
-        where one place fits far better than any other, as with most skylines. Otherwise the poses
-        are refined with more effort. Raises as `search`.
+        The refined ones are None without a scene. The most promising places come first, with a quick
+        refinement, which is enough where one place fits far better than any other, as with most
+        skylines. Otherwise all places that are worth a fit are tried, and at last with more effort.
+        Raises as `search`.
         """
         lists = self.retriever.shortlists(rays, self._shortlist, prior, report)
+        scene = self._scene
+        if scene is None:
+            *_, found = lists
+            return found, None
+        noted = self._near_noted(rays, prior, report)
         for found in lists:
-            poses = None
-            if self._scene is not None and len(found):
-                start = self._with_noted(found, rays, prior, report)
-                poses = Refinement(rays, self._scene, QUICK, prior, report=report).run(start)
-                if len(poses) and poses.figures().margin[0] > self.sure_margin:
-                    return found, poses
-        if poses is not None and self._scene is not None:
-            poses = Refinement(rays, self._scene, WHOLE, prior, report=report).run(start)
-        return found, poses
+            start = _with_noted(found, noted)
+            poses = Refinement(rays, scene, QUICK, prior, report=report).run(start)
+            if len(poses) and poses.figures().margin[0] > self.sure_margin:
+                return found, poses
+        return found, Refinement(rays, scene, WHOLE, prior, report=report).run(start)
 
     @one_blas_thread()
     def other_projection(self, rays: Rays, best: Pose, prior: Prior) -> OtherProjection | None:
@@ -230,22 +232,26 @@ class FullMatcher(SearchMethod):
             raise InputError(BY_RENDERING)
         return self._scene
 
-    def _with_noted(self, found: Poses, rays: Rays, prior: Prior, report: ReportProgress) -> Poses:
-        """Return retrieved poses with those around the photo's noted place.
-
-        The best of these gets the cost of the best pose of all; refinement then compares them.
-        """
+    def _near_noted(self, rays: Rays, prior: Prior, report: ReportProgress) -> Poses | None:
+        """Return the poses retrieved around the photo's noted place; None without one."""
         near_noted = prior.near_noted()
         if near_noted is None:
-            return found
+            return None
         try:
-            near = self.retriever.shortlist(rays, _SHORTLIST_LEAST // 4, near_noted, report)
+            return self.retriever.shortlist(rays, _SHORTLIST_LEAST // 4, near_noted, report)
         except InputError:  # No place of the store lies there.
-            return found
-        if not len(near):
-            return found
-        raised = near.cost - near.cost.min() + found.cost.min()
-        return Poses.concatenate([found, replace(near, cost=raised)])
+            return None
+
+
+def _with_noted(found: Poses, near: Poses | None) -> Poses:
+    """Return retrieved poses with those around the photo's noted place.
+
+    The best of these gets the cost of the best pose of all; refinement then compares them.
+    """
+    if near is None or not len(near) or not len(found):
+        return found
+    raised = near.cost - near.cost.min() + found.cost.min()
+    return Poses.concatenate([found, replace(near, cost=raised)])
 
 
 def _with_one_noted_place(

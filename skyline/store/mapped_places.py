@@ -9,7 +9,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from skyline.arrays import Int64Array, IntArray
+from skyline.arrays import Int64Array, IntArray, UInt8Array
 from skyline.errors import InputError, StoreError
 from skyline.store.layout import REBUILD, StoreHeader, checksums_of_bytes
 from skyline.store.places import Places
@@ -78,6 +78,17 @@ class PlaceMap:
             }
             yield Places(**fields)
 
+    def phases(self, rows: IntArray) -> UInt8Array:
+        """Return copies of the phases (M, 180) of places that exist; no checksum is compared.
+
+        Raises
+        ------
+        StoreError
+            The file was cut short since the store was opened.
+        """
+        self._check_length()
+        return self._bytes_of(self._header.fields["phase"], rows)
+
     def take(self, rows: NDArray[np.integer[Any]]) -> Places:
         """Return copies of places ``rows`` (M,) in order, compared with their checksums.
 
@@ -113,10 +124,8 @@ class PlaceMap:
 
     def _gathered(self, rows: IntArray) -> NDArray[np.void]:
         """Return some places (M,), each by the names of its datasets; verified."""
-        chunk, row = np.divmod(rows, self._size)
         bytes_of = [
-            self._rows[name][self._at[name][chunk] + row * self._types[name].itemsize]
-            for name in (*sorted(self._fields), self._header.checksum)
+            self._bytes_of(name, rows) for name in (*sorted(self._fields), self._header.checksum)
         ]
         together = np.concatenate(bytes_of[:-1], axis=1)
         wrong = checksums_of_bytes(together) != bytes_of[-1].view("<u4")[:, 0]
@@ -127,6 +136,11 @@ class PlaceMap:
                 "saves the whole rows"
             )
         return together.view(self._record)[:, 0]
+
+    def _bytes_of(self, name: str, rows: IntArray) -> UInt8Array:
+        """Return a dataset's bytes (M, bytes of a row) of some rows."""
+        chunk, row = np.divmod(rows, self._size)
+        return self._rows[name][self._at[name][chunk] + row * self._types[name].itemsize]
 
     def _check_length(self) -> None:
         if (size := self._map.size()) < self._end:

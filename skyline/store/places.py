@@ -228,6 +228,10 @@ class Places(Rows):
         """Yield these places; as `skyline.PlaceMap` does."""
         yield self
 
+    def phases(self, rows: IntArray) -> UInt8Array:
+        """Return the phases of some places; as `skyline.PlaceMap` does."""
+        return self.phase[rows]
+
     def take(self, rows: IntArray) -> "Places":
         """Return some places, in order; as `skyline.PlaceMap` does."""
         return self[rows]
