@@ -140,7 +140,7 @@ class PlacePrior:
         grid_heading_deg = noted.heading_deg
         if grid_heading_deg is not None:
             grid_heading_deg -= float(frame.convergence_deg(easting_m=east, northing_m=north))
-        sd_m = position_sd_m(noted)
+        sd_m = noted_position_sd_m(noted)
         compass_sd_deg = (
             _EXIF.compass_sd_deg if noted.is_magnetic is False else _EXIF.magnetic_sd_deg
         )
@@ -327,7 +327,7 @@ def _noted_heights(noted: NotedPlace, ground: KnownGround) -> list[_NotedHeight]
     return found
 
 
-def position_sd_m(noted: NotedPlace) -> float:
+def noted_position_sd_m(noted: NotedPlace) -> float:
     """Return the scale of the error of a photo's position."""
     return max(_EXIF.least_position_sd_m, noted.accuracy_m or GPS_SD_M)
 

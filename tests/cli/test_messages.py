@@ -193,7 +193,7 @@ MISTAKES = [
     ("orient {photo} --dem {dem}", "notes no GPS position; give the place: --at LON,LAT"),
     ("orient {photo} --dem {dem} --at 9", "expected LON,LAT in degrees"),
     ("orient {photo} --dem {dem} --at 0,0", "off the map"),
-    ("orient {photo} --dem {dem} --at 9.2,46.7 --within 900", "skyline match"),
+    ("orient {photo} --dem {dem} --at 9.2,46.7 --position-sd 900", "skyline match"),
     ("orient {photo} --dem {dem} --at {at} --elevation 30000", "is 30000 m; expected metres"),
     (
         "orient {photo} --dem {dem} --at {at} --elevation -400",
