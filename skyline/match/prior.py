@@ -277,7 +277,7 @@ class Standing:
         cost = sum(one.cost(DEFAULT_EYE_HEIGHT_M) for one in heights) - math.log(peak)
         found = [replace(on_ground, cost=cost)]
         for height in sorted(heights, key=lambda one: one.sd_m):
-            above_m = height.height_m
+            above_m = height.above_m
             if above_m - DEFAULT_EYE_HEIGHT_M <= _ALOFT.least_sds * ground.height_sd_m:
                 continue
             if any(abs(above_m - other.eye.usual_m) <= height.sd_m for other in found[1:]):
@@ -302,15 +302,15 @@ class _NotedHeight:
     Its error is distributed as in `PlacePrior`.
     """
 
-    height_m: float
+    above_m: float
     sd_m: float
     """Scale of the error above the ground, whose elevation is not quite known."""
     elevation_sd_m: float
     """Scale of the error of the elevation."""
 
-    def cost(self, height_m: float) -> float:
+    def cost(self, above_m: float) -> float:
         """Return the negative log density of noting this height at another one."""
-        off = (height_m - self.height_m) / self.sd_m
+        off = (above_m - self.above_m) / self.sd_m
         return _EXIF.height_tail * math.log1p(off**2) + math.log(2.0 * self.sd_m)
 
 

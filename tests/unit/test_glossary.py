@@ -33,6 +33,11 @@ def test_the_glossary_has_the_names_that_had_two_meanings():
     assert names <= {field for field, _, _ in ROWS}
 
 
+@pytest.mark.parametrize("field", ["height", "angle"])
+def test_a_field_says_which_height_or_angle_it_is_and_in_which_unit(field):
+    assert classes_with(field) == set()
+
+
 @pytest.mark.parametrize(("field", "classes"), [(field, classes) for field, _, classes in ROWS])
 def test_a_class_whose_field_has_a_name_of_the_glossary_is_listed_there(field, classes):
     # Who adds such a field reads the quantity that its name has in all others.
