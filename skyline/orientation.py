@@ -184,13 +184,14 @@ class Orientation:
 
     def to_row(self) -> dict[str, Any]:
         """Return the row of ``skyline orient -o``."""
+        pose = {} if self.pose is None else self.pose.to_dict()
         row: dict[str, Any] = {"photo": printable(self.name), "trusted": int(not self.refusal)}
         for angle in ("heading", "pitch", "roll", "fov"):
-            row[f"{angle}_deg"] = getattr(self.pose, f"{angle}_deg", None)
+            row[f"{angle}_deg"] = pose.get(f"{angle}_deg")
             sd_name = f"{angle}_sd_deg"
             row[sd_name] = None if self.pose is None else getattr(self, sd_name)
         for name in ("distortion", "lon", "lat", "eye_elevation_m", "residual_deg"):
-            row[name] = getattr(self.pose, name, None)
+            row[name] = pose.get(name)
         return row | {
             "moved_m": None if self.pose is None else self.moved_m,
             "eye_height_m": None if self.pose is None else self.eye_height_m,

@@ -368,7 +368,8 @@ class JointResult:
         for one in self.results:
             about: dict[str, Any] = {"refusal": one.refusal}
             if one.best is not None:
-                about = {name: getattr(one.best, name) for name in _OF_CAMERA}
+                of_best = one.best.to_dict()
+                about = {name: of_best[name] for name in _OF_CAMERA}
             agrees = one.best is not None
             names = {"photo": printable(one.name), **({"id": printable(one.id)} if one.id else {})}
             photos.append({**names, "agrees": agrees, **about})

@@ -1,6 +1,8 @@
 """A pose is written as a record by `Pose.to_dict` and read by `NotedPose.from_dict`."""
 
 import json
+import math
+from dataclasses import replace
 
 import pytest
 from scenes import candidate_at, fractal, write_dem
@@ -17,6 +19,19 @@ def test_a_pose_is_read_as_it_was_written():
     for name in ("lon", "lat", "heading_deg", "pitch_deg", "fov_deg", "eye_elevation_m", "wander"):
         assert getattr(noted, name) == getattr(pose, name)
     assert noted.eye_height_m is None
+
+
+@pytest.mark.parametrize("cost", [math.nan, math.inf])
+def test_the_record_of_a_pose_without_a_finite_cost_is_json(cost):
+    pose = replace(
+        candidate_at(602_000.0, 5_177_900.0, 141.4, cost=cost),
+        eye_elevation_m=math.nan,
+        wander=(0.1, math.nan, 0.0, 0.0),
+    )
+    record = json.loads(json.dumps(pose.to_dict(), allow_nan=False))
+    assert (record["cost"], record["eye_elevation_m"], record["wander"]) == (None, None, None)
+    noted = NotedPose.from_dict(record, LENS)
+    assert (noted.heading_deg, noted.eye_elevation_m, noted.wander) == (pose.heading_deg, None, ())
 
 
 def test_what_a_record_does_not_have_is_level_and_undistorted():
