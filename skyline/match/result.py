@@ -65,7 +65,7 @@ class MatchResult:
         Why there is no answer, where there is none.
     within_m : float or None
         Distance within which the answer is sure to be right: 200 m, or 1 km where only that is
-        sure. None without an answer, and for matchers without a confidence.
+        sure. None without an answer.
     name : str
         The photo's file, as it was given to the matcher; empty for a `PhotoSkyline`.
     id : str

@@ -47,9 +47,18 @@ def test_a_field_of_view_that_hardly_fits_is_named(rays, found_deg, named):
 @pytest.mark.parametrize(("found_deg", "refused"), [(54.0, True), (66.0, True), (65.9, False)])
 def test_a_field_of_view_at_the_end_of_the_range_searched_is_no_answer(rays, found_deg, refused):
     assert rays.fov_bounds_deg == (54.0, 66.0)
-    why = refusal(rays, found_deg)
+    why = refusal(rays, found_deg, confidence=0.95)
     assert (why is not None) == refused
     assert not refused or "--fov-deg" in why
+
+
+def test_a_place_without_a_confidence_is_no_answer(rays):
+    why = refusal(rays, GIVEN_DEG)
+    assert why.startswith("the matcher estimates no confidence, so the best place is not judged")
+    # Who asks for an answer whatever its confidence gets one.
+    bold = MatchConfig(min_confidence=0.0)
+    candidates = [candidate_at(0.0, 0.0, fov_deg=GIVEN_DEG)]
+    assert Verdict.of_search(candidates, None, bold, skyline_of(GIVEN_DEG), rays).refusal is None
 
 
 @pytest.mark.parametrize(
