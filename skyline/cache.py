@@ -26,7 +26,7 @@ import numpy as np
 
 from skyline.arrays import Progress
 from skyline.errors import FetchError, InputError, MissingFileError, SkylineError
-from skyline.fetch.dem_tiles import SOURCES, fetch_dem
+from skyline.fetch.dem_tiles import SOURCES, fetch_dem, source_of
 from skyline.files import lock_file, version_of
 from skyline.geodesy.bounds import Bounds, check_bounds, width_deg
 from skyline.geodesy.map_frame import TRUE_DEG, Frame
@@ -142,13 +142,13 @@ def prepare_area(
     """Return an area from the cache, which is built if it is missing.
 
     ``dem`` are elevation files, or folders of them. Without it, tiles are fetched from ``source``,
-    a source of `fetch_dem`: by default ``$SKYLINE_DEM_SOURCE``, else Copernicus. Raises
+    a source of `fetch_dem`: by default the one of `source_of`. Raises
     `InputError` where the DEM does not cover the area, there is only sea, or the cache cannot be
     written, and `FetchError` where a server fails.
     """
     check_bounds(area.built)
     files = dem_names(dem)
-    source = source or os.environ.get("SKYLINE_DEM_SOURCE") or "copernicus"
+    source = source_of(source)
     home = _areas() / _origin(files, source)
     with _explained():
         finished = (one for one in _areas_in(home.glob("*")) if one.is_finished)

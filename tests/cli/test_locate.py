@@ -2,7 +2,6 @@
 
 import json
 import math
-import os
 import shutil
 import threading
 import time
@@ -191,12 +190,16 @@ def test_an_area_with_a_tile_that_is_refused_is_not_searched(run, made, cache, s
 
 def test_a_fetch_with_a_tile_that_is_refused_fails_and_keeps_the_others(run, server, tmp_path):
     server.status["/N46E010.tif"] = 403
-    source = os.environ["SKYLINE_DEM_SOURCE"]
-    fetch = "dem", "fetch", "--bounds", "9.9,46.4,10.1,46.6", "-o", tmp_path, "--source", source
-    done = run(*fetch)
+    done = run("dem", "fetch", "--bounds", "9.9,46.4,10.1,46.6", "-o", tmp_path)
     assert (done.code, done.out, done.err.count("\n")) == (1, "", 1)
     assert "1 of 2 tiles could not be fetched, N46E010: " in done.err
     assert [path.name for path in tmp_path.iterdir()] == ["N46E009.tif"]
+
+
+def test_a_fetch_uses_the_source_that_the_environment_names(run, server, tmp_path):
+    run("dem", "fetch", "--bounds", "9.4,46.4,9.6,46.6", "-o", tmp_path).ok()
+    assert [path.name for path in tmp_path.iterdir()] == ["N46E009.tif"]
+    assert server.requests
 
 
 def test_a_cache_without_rights_or_room_is_one_line(
