@@ -284,8 +284,10 @@ class NotedPose:
         InputError
             The record is no pose, or has values that no camera of the projection has.
         """
-        if not isinstance(record, Mapping) or any(record.get(name) is None for name in _NEEDED):
+        if not isinstance(record, Mapping):
             raise InputError(f"{source} has no pose; {EXPECTED_RECORD}")
+        if lacking := [name for name in _NEEDED if record.get(name) is None]:
+            raise InputError(f"{source} has no {', '.join(lacking)}; {EXPECTED_RECORD}")
         given: dict[str, Any] = {
             name: _number(record[name], name, source)
             for name in (*_NEEDED, *_OPTIONAL)

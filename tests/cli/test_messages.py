@@ -321,8 +321,16 @@ _POSED = '{"lon": 9, "lat": 46, "heading_deg": 1, "fov_deg": 60'
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("{", "cannot be read"),
-        ('{"lon": 9, "lat": 46, "heading_deg": 1}', "has no pose"),
+        ("", "bad.json is empty; expected JSON as `skyline match --json`"),
+        ("{", "bad.json is not JSON (Expecting property name"),
+        ("column_px,row_px\n1,2\n", "bad.json is not JSON (Expecting value"),
+        ("[1, 2]", "bad.json has no pose; expected JSON"),
+        (
+            '{"type": "FeatureCollection"}',
+            "has no lon, lat, heading_deg, fov_deg; expected",
+        ),
+        ('{"candidates": []}', "is of a match that found no place; give another pose"),
+        ('{"lon": 9, "lat": 46, "heading_deg": 1}', "has no fov_deg"),
         ('{"lon": 9, "lat": 46, "heading_deg": "N", "fov_deg": 60}', "heading_deg is N"),
         ('{"lon": 9, "lat": 46, "heading_deg": 1, "fov_deg": 190}', "expected 1 to 179"),
         ('{"lon": 9, "lat": 40, "heading_deg": 1, "fov_deg": 60}', "off the map"),
@@ -332,7 +340,7 @@ _POSED = '{"lon": 9, "lat": 46, "heading_deg": 1, "fov_deg": 60'
         (f'{_POSED}, "distortion": -2}}', "expected -0.3 to 0.3"),
         (f'{_POSED}, "distortion": true}}', "distortion is True"),
         (f'{_POSED}, "distortion": 1{"0" * 400}}}', "expected a number"),
-        ('{"candidates": {"a": 1}}', "has no pose"),
+        ('{"candidates": {"a": 1}}', "has no lon"),
         ('{"photo": "a"}\n{"photo": "b"}', "has 0 lines whose `photo`"),
     ],
 )
@@ -342,6 +350,24 @@ def test_a_bad_pose_is_refused(run, dem, photo, tmp_path, text, message):
     out = tmp_path / "out.npz"
     assert_refused(run("pixels", photo, "--pose", bad, "--dem", dem, "-o", out), message)
     assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ("photo", "photo.jpg is a binary file, as photos are; expected JSON as"),
+        ("store", "store.h5 is a store; expected JSON as"),
+        ("tmp", "cannot be read (Is a directory); expected JSON as"),
+    ],
+)
+@pytest.mark.parametrize("command", ["label", "pixels"])
+def test_what_is_no_file_of_a_pose_is_named(run, read, tmp_path, command, given, message):
+    pose = (read | {"tmp": tmp_path})[given]
+    out = tmp_path / ("out.npz" if command == "pixels" else "out.json")
+    peaks = ("--peaks", read["peaks"]) if command == "label" else ()
+    done = run(command, read["photo"], "--pose", pose, "--dem", read["dem"], *peaks, "-o", out)
+    assert_refused(done, message)
+    assert done.err.count("expected JSON") == 1
 
 
 @pytest.mark.parametrize(

@@ -45,7 +45,7 @@ def test_what_a_record_does_not_have_is_level_and_undistorted():
     [
         (None, "the request has no pose; expected JSON"),
         ([LEAST], "the request has no pose"),
-        (LEAST | {"lat": None}, "the request has no pose"),
+        (LEAST | {"lat": None}, "the request has no lat; expected JSON"),
         (LEAST | {"lat": True}, "the request: lat is True; expected a number"),
         (LEAST | {"lat": float("nan")}, "lat is nan; expected a number"),
         (LEAST | {"lat": 10**400}, "expected a number"),
