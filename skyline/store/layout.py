@@ -82,6 +82,9 @@ KeypointColumns = NDArray[np.uint16]
 Columns = Mapping[str, NDArray[Any]]
 """N rows of several datasets, by the datasets' names, in the types in which they are stored."""
 
+_TOLERANCES = ("tolerance_px", "tolerance_deg")
+"""Settings of earlier releases, which could render skylines less exactly: by how much."""
+
 _SPECS: dict[str, dict[str, tuple[str, str, tuple[int, ...] | None]]] = {
     RENDERINGS: {
         "easting_m": ("views/easting", "<f8", ()),
@@ -164,8 +167,8 @@ class StoreHeader:
         if "dem_options" in plain:
             # Stores do not differ by options that only earlier releases have.
             plain["dem_options"] = asdict(DemOptions.from_json(plain["dem_options"]))
-        for name in ("tolerance_px", "tolerance_deg"):
-            # Earlier releases could render with a tolerance; at 0 they rendered as this one does.
+        for name in _TOLERANCES:
+            # At 0 earlier releases rendered as this one does.
             if plain.get(name) == 0.0:
                 del plain[name]
         object.__setattr__(self, "config", plain)
@@ -289,8 +292,9 @@ def refuse_mismatch(
 ) -> None:
     """Raise `StoreMismatchError` unless rows of two headers may be in one store.
 
-    Paths and releases may differ. The message begins with ``subject`` and ends with ``advice``;
-    ``words`` describe the two headers in it.
+    Paths and releases may differ. The message begins with ``subject`` and ends with ``advice``, or
+    with what is to be done about rows that can no longer be made; ``words`` describe the two
+    headers in it.
     """
     compared: dict[str, tuple[object, object]] = {"kind of rows": (a.holds, b.holds)}
     if a.holds != b.holds:
@@ -307,6 +311,11 @@ def refuse_mismatch(
                 one = {name: value for name, value in pairs[0] if (name, value) not in pairs[1]}
                 other = {name: value for name, value in pairs[1] if (name, value) not in pairs[0]}
             compared[f"config {key}"] = one, other
+            if key in _TOLERANCES and one != other:
+                advice = (
+                    "skylines are no longer rendered with a tolerance; build a new store of that "
+                    "area (the old one is still read and searched)"
+                )
     differences = [
         f"{name} is {was!r} {words[0]}, {now!r} {words[1]}"
         for name, (was, now) in compared.items()

@@ -158,11 +158,24 @@ class TestHeader:
             assert store.header.config["tolerance_px"] == 0.05
             assert_holds(store, np.arange(3))
 
+    def test_of_less_exact_skylines_is_not_extended_by_settings_that_are_no_more(self):
+        before = replace(PLACES_HEADER, config={**PLACES_HEADER.config, "tolerance_deg": 0.01})
+        with pytest.raises(StoreMismatchError) as refused:
+            refuse_mismatch(before, PLACES_HEADER, "these", "repeat its settings")
+        said = str(refused.value)
+        assert "tolerance_deg is 0.01 there, 'absent' here" in said
+        assert said.endswith(
+            "build a new store of that area (the old one is still read and searched)"
+        )
+        assert "repeat its settings" not in said
+
     def test_of_less_exact_skylines_is_joined_to_no_exact_one(self, tmp_path):
         header = replace(VIEWS_HEADER, config={**VIEWS_HEADER.config, "tolerance_px": 0.05})
         a = write_rows(tmp_path / "a.h5", 0, 3, header)
         b = write_rows(tmp_path / "b.h5", 3, 6)
-        said = "tolerance_px is 0.05 in a.h5, 'absent' in b.h5; build both with the same settings"
+        said = (
+            "tolerance_px is 0.05 in a.h5, 'absent' in b.h5; skylines are no longer rendered with"
+        )
         with pytest.raises(StoreMismatchError, match=said):
             merge_stores([a, b], tmp_path / "out.h5")
 
