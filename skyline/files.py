@@ -18,6 +18,8 @@ REPORT_PAGE = "index.html"
 """The page of a report's folder."""
 PAGE_MARK = '<meta name="generator" content="Skyline">'
 """The mark of the pages that Skyline writes."""
+STORE_SCHEMA = "skyline-store"
+"""The attribute ``schema`` of a store, by which GDAL knows it from other HDF5 files."""
 STANDARD = "-"
 """The name of standard input and output among paths."""
 GEOJSON = (".geojson", ".json")

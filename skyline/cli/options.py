@@ -13,7 +13,6 @@ from typer import Argument, Option
 from skyline.cli.terminal import Terminal
 from skyline.errors import InputError, numbers_of, swapped_in_words
 from skyline.geodesy.bounds import are_degrees
-from skyline.store.read import is_store
 
 if TYPE_CHECKING:
     from skyline.geodesy.bounds import Bounds
@@ -125,16 +124,10 @@ SummitWithin = Annotated[
 
 
 def read_terrain(terminal: Terminal, dem: Sequence[str], crs: str | None) -> "HeightField":
-    """Read the elevation model of a command; a note names the step if it takes long.
-
-    Raises `InputError` for a store in its place.
-    """
+    """Read the elevation model of a command; a note names the step if it takes long."""
     from skyline.terrain.dem import read_dem  # noqa: PLC0415  (slow to load)
     from skyline.terrain.provenance import DemOptions  # noqa: PLC0415  (slow to load)
 
-    for name in dem:
-        if Path(name).suffix == ".h5" and is_store(name):
-            raise InputError(f"{name} is a store; name the elevation model from which it was built")
     with terminal.slow("reading the elevation model"):
         return read_dem(dem, DemOptions(crs=crs))
 

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 from skyline.arrays import UInt8Array
 from skyline.errors import SkylineError, StoreError, StoreMismatchError
+from skyline.files import STORE_SCHEMA
 from skyline.geodesy.bounds import Bounds
 from skyline.geodesy.earth import Curvature
 from skyline.geodesy.map_frame import Frame
@@ -35,7 +36,6 @@ from skyline.terrain.dem import Dem, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.provenance import DemOptions
 
-SCHEMA = "skyline-store"
 SCHEMA_VERSION = 4
 PACKAGE_VERSION = version("skyline")
 
@@ -390,7 +390,7 @@ def attributes_digest(attributes: Mapping[str, str]) -> str:
 def write_header(file: h5py.File, header: StoreHeader) -> None:
     """Write a header, with its digest, as the attributes of a file."""
     texts = {
-        "schema": SCHEMA,
+        "schema": STORE_SCHEMA,
         **header.attributes,
         "header_digest": attributes_digest(header.attributes),
     }
@@ -418,7 +418,7 @@ def read_header(path: Path, file: h5py.File) -> StoreHeader:
             f"version {SCHEMA_VERSION}: {advice}"
         )
     texts = {name: _text(path, file, name) for name in file.attrs if name != "schema_version"}
-    if texts.pop("schema") != SCHEMA:
+    if texts.pop("schema") != STORE_SCHEMA:
         raise foreign
     if texts.pop("header_digest", None) != attributes_digest(texts):
         raise StoreError(

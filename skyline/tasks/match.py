@@ -27,6 +27,7 @@ from skyline.match.matcher import FULL, Matcher
 from skyline.match.method import MATCHERS
 from skyline.match.result import JointResult, MatchResult
 from skyline.peaks import Peaks, read_peaks
+from skyline.photo.image import EXPECTED
 from skyline.photo.skyline import PhotoSkyline
 from skyline.plugins import names_of
 from skyline.report.exports import EXPORTS, export_matches
@@ -394,7 +395,7 @@ def _written(path: str | Path) -> tuple[object, ...]:
     The path is left out, since files may move.
     """
     if str(path) == STANDARD:
-        return (_digest(read_bytes(path, "expected a photo, a mask or a trace")),)
+        return (_digest(read_bytes(path, EXPECTED)),)
     return (version_of(path) or ())[:2]
 
 

@@ -225,6 +225,17 @@ MISTAKES = [
     ("label {photo} --pose {pose} --dem {tmp}/none.tif --peaks {peaks} -o {tmp}/n.png", "none.tif"),
     ("pixels {photo} --pose {pose} --dem {dem} -o {tmp}/p.csv", "expected one of .npz, .tif"),
     ("pixels {photo} --pose {pose} --dem {dem} -o {dem}", "is an input"),
+    # A store in place of an elevation model or of a photo
+    ("pixels {photo} --pose {pose} --dem {store} -o {tmp}/p.npz", "is a store; name the elevation"),
+    (
+        "label {photo} --pose {pose} --dem {renderings} --peaks {peaks} -o {tmp}/n.png",
+        "is a store; name the elevation",
+    ),
+    ("match {store} {photo} --fov-deg 60 --dem {store}", "is a store; name the elevation"),
+    ("orient {store} --dem {dem} --at {at}", "is a store; expected a photo, a sky mask or a trace"),
+    ("extract {store} -o {tmp}/t.csv", "is a store; expected a photo, a sky mask or a trace"),
+    ("locate {store} --near {at},2 --dem {dem}", "is a store; expected a photo"),
+    ("locate {peaks} {file} --near {at},2 --dem {dem}", "expected"),
     # Horizon
     ("horizon {dem}", "give positions as --at LON,LAT or as --viewpoints"),
     ("horizon {dem} --at 7.0,46.8", "the place at lon 7.00000, lat 46.80000 is off"),
