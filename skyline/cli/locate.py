@@ -31,7 +31,7 @@ def locate(
     photo: Annotated[
         list[Path],
         Argument(
-            metavar="PHOTO...",
+            metavar="PHOTO",
             help="Photos of one area, folders of them, sky masks, CSV traces or lists. Without "
             f"--near and --bounds, {NOTED_KM:g} km round the photos' own GPS positions are "
             "searched.",

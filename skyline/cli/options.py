@@ -51,7 +51,7 @@ Dem = Annotated[
 ]
 Dems = Annotated[
     list[str],
-    Argument(metavar="DEM...", help="Elevation files of one grid, or folders or zips of files."),
+    Argument(metavar="DEM", help="Elevation files of one grid, or folders or zips of files."),
 ]
 Workers = Annotated[
     str | None,

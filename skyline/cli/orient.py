@@ -26,7 +26,7 @@ def orient(
     context: typer.Context,
     photo: Annotated[
         list[Path],
-        Argument(metavar="PHOTO...", help="Photos, folders of them, sky masks or CSV traces."),
+        Argument(metavar="PHOTO", help="Photos, folders of them, sky masks or CSV traces."),
     ],
     dem: Dem,
     at: CameraPosition = None,

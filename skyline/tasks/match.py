@@ -127,7 +127,7 @@ class MatchTask:
         """Raise `InputError` for outputs that would replace inputs, or whose kind is not known."""
         named = [Path(one.path) for one in self.entries]
         inputs = [*self.stores, *self.inputs, *named, *filter(None, [self.peaks])]
-        check_outputs([*self.exports, self.results, self.report], inputs)
+        check_outputs([*self.exports, self.results], inputs, self.report)
         if self.report is not None:
             folders = {one.parent.resolve() for one in named if one != Path(STANDARD)}
             if self.report.resolve() in folders:

@@ -236,6 +236,11 @@ MISTAKES = [
     ("extract {store} -o {tmp}/t.csv", "is a store; expected a photo, a sky mask or a trace"),
     ("locate {store} --near {at},2 --dem {dem}", "is a store; expected a photo"),
     ("locate {peaks} {file} --near {at},2 --dem {dem}", "expected"),
+    # Folders in place of files, and arguments left out
+    ("orient {photo} --dem {dem} --at {at} -o {tmp}", "is a folder; name a file for the output"),
+    ("extract {photo} -o {tmp}", "is a folder; name a file for the output"),
+    ("build {dem} --spacing 600 -o {tmp}", "is a folder; name the file of a store"),
+    ("orient", "Missing argument 'PHOTO'; see `"),
     # Horizon
     ("horizon {dem}", "give positions as --at LON,LAT or as --viewpoints"),
     ("horizon {dem} --at 7.0,46.8", "the place at lon 7.00000, lat 46.80000 is off"),

@@ -407,7 +407,7 @@ class TestForeign:
             open_store(path)
         path.write_text("easting,northing\n")
         assert_refused(path, "not an HDF5 file")
-        with pytest.raises(StoreError, match="cannot be read: Is a directory"):
+        with pytest.raises(StoreError, match="is a folder; name the file of a store"):
             open_store(tmp_path)
         with h5py.File(path, "w") as file:
             file["data"] = np.arange(10)
