@@ -8,7 +8,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pyproj import Geod
 
-from skyline.errors import InputError
 from skyline.geodesy.bounds import check_bounds, width_deg
 from skyline.geodesy.map_frame import TRUE_DEG, Frame
 
@@ -33,12 +32,6 @@ def test_scale_is_map_metres_per_metre_on_the_ground():
     assert float(scale) == pytest.approx(expected, rel=1e-6)
     local = Frame.local(lon=9.9, lat=46.8).scale(easting_m=0.0, northing_m=0.0)
     assert float(local) == pytest.approx(1.0, abs=1e-9)
-
-
-@pytest.mark.parametrize("crs", ["EPSG:4326", "EPSG:2227", "rubbish"])
-def test_a_crs_that_is_not_metric_is_no_frame(crs):
-    with pytest.raises(InputError, match=r"metric|not understood"):
-        Frame.from_crs(crs)
 
 
 BOXES = {
@@ -85,15 +78,6 @@ def test_a_box_round_a_pole_has_all_longitudes(frame, pole):
     west, south, east, north = frame.rectangle_m(box)
     assert max(west, south) <= -49_999.0
     assert min(east, north) >= 49_999.0
-
-
-@pytest.mark.parametrize(
-    "bounds",
-    [(180, 1, -180, 2), (9, 1, 9, 2), (9, 1, 8, 2), (179, 1, 181, 2), (math.nan, 1, 2, 3)],
-)
-def test_bounds_that_are_no_box_are_refused(bounds):
-    with pytest.raises(InputError, match="longitudes from -180 to 180"):
-        check_bounds(bounds)
 
 
 def test_a_map_of_a_wide_area_is_used_where_a_local_frame_is_no_truer():
