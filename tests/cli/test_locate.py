@@ -23,6 +23,7 @@ from skyline import read_dem, stand_at
 from skyline.cache import Area, prepare_area
 from skyline.fetch.dem_tiles import fetch_dem
 from skyline.fetch.remote import Patience
+from skyline.geodesy.bounds import contains_box
 from skyline.location import area_of
 
 PLACE = 9.5, 46.5
@@ -121,7 +122,7 @@ def test_the_area_is_that_of_the_photo_s_own_position(made, tmp_path):
     np.testing.assert_allclose(frame.rectangle_m(area.built), [-1e4, -1e4, 1e4, 1e4], rtol=0.02)
     near = taken_at("near.jpg", PLACE[0] + 0.3, PLACE[1])
     both, narrowing = area_of([photo, near], skyline.Narrowing())
-    assert areas._contains(both.built, area.built)
+    assert contains_box(both.built, area.built)
     assert narrowing.bounds_deg == both.built
     far = taken_at("far.jpg", PLACE[0] + 100.0, PLACE[1])
     with pytest.raises(skyline.InputError, match="more than 50 km apart"):
@@ -226,7 +227,7 @@ def test_one_process_waits_for_another_and_clear_leaves_its_area(cache, server):
         if "waiting" in note:
             ended.set()
 
-    with areas._locked(folder) as is_alone:
+    with areas.hold_area(folder) as is_alone:
         assert is_alone
         assert areas.clear_cache() == 0
         waiting = threading.Thread(target=lambda: prepare_area(area, print_note=print_note))
@@ -258,33 +259,38 @@ def test_an_interrupted_build_continues(made, cache, server):
 
 
 def test_a_lock_that_is_removed_while_waited_for_is_taken_anew(cache):
-    folder = areas._areas() / "dem-1" / "9.00_46.00_10.00_47.00"
+    folder = areas.areas_folder() / "dem-1" / "9.00_46.00_10.00_47.00"
     waits, holds, ends = threading.Event(), threading.Event(), threading.Event()
 
     def wait():
-        with areas._locked(folder, lambda _: waits.set()):
+        with areas.hold_area(folder, lambda _: waits.set()):
             holds.set()
             ends.wait(20.0)
 
-    with areas._locked(folder):
+    with areas.hold_area(folder):
         waiting = threading.Thread(target=wait)
         waiting.start()
         assert waits.wait(20.0)
     assert holds.wait(20.0)
-    with areas._locked(folder) as is_alone:
+    with areas.hold_area(folder) as is_alone:
         assert not is_alone
     ends.set()
     waiting.join(20.0)
     assert not folder.parent.exists()
 
 
+@pytest.mark.usefixtures("cache")
 def test_other_files_of_a_name_and_files_beside_a_dem_tell_areas_apart(made, tmp_path):
     dem = tmp_path / "dem.tif"
+
+    def origin():
+        return prepare_area(Area.around([PLACE], 0.5, 0.5), dem).folder.parent
+
     shutil.copy2(made / "dem.tif", dem)
-    first = areas._origin([str(dem)], "copernicus")
+    first = origin()
+    assert origin() == first
     time.sleep(0.05)
     shutil.copy2(made / "dem.tif", dem)  # As long and, by its time, as old
-    before = areas._origin([str(dem)], "copernicus")
-    assert before != first
+    copied = origin()
     (tmp_path / "dem.tif.aux.xml").write_text("<PAMDataset><SRS>EPSG:4258</SRS></PAMDataset>")
-    assert areas._origin([str(dem)], "copernicus") != before
+    assert len({first, copied, origin()}) == 3

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pyproj import Geod
 
-from skyline.geodesy.bounds import check_bounds, width_deg
+from skyline.geodesy.bounds import box_around, check_bounds, contains_box, width_deg
 from skyline.geodesy.map_frame import TRUE_DEG, Frame
 
 WGS84 = Geod(ellps="WGS84")
@@ -92,3 +92,24 @@ def test_a_map_of_a_wide_area_is_used_where_a_local_frame_is_no_truer():
     mercator = Frame.from_crs("EPSG:3857")
     wide_m = mercator.rectangle_m((-4.8, 42.0, 8.2, 51.1))
     assert mercator.untrue_deg(wide_m) > 10.0
+
+
+def test_a_box_around_two_crosses_the_antimeridian_where_they_do():
+    east, west = (-179.9, -1.0, -179.6, 0.5), (179.5, 0.0, -179.7, 1.0)
+    assert box_around(east, west) == box_around(west, east) == (179.5, -1.0, -179.6, 1.0)
+    assert box_around((9.1, 0.0, 9.3, 1.0), (9.2, 0.2, 9.3, 0.4)) == (9.1, 0.0, 9.3, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("inner", "is_in"),
+    [
+        ((179.5, 0.0, -179.5, 1.0), True),
+        ((-179.9, 0.2, -179.6, 0.4), True),
+        ((179.4, 0.2, -179.6, 0.4), False),
+        ((-179.9, 0.2, -179.4, 0.4), False),
+        ((179.6, -0.1, 179.7, 0.4), False),
+        ((179.6, 0.2, 179.7, 1.1), False),
+    ],
+)
+def test_a_box_contains_one_that_reaches_out_on_no_side(inner, is_in):
+    assert contains_box((179.5, 0.0, -179.5, 1.0), inner) == is_in
