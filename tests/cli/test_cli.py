@@ -218,9 +218,9 @@ def test_examples_run(dem, store, photo, viewpoints_csv, tmp_path):
 
     batch = run_example(EXAMPLES / "render_batch.sh", dem, viewpoints_csv, tmp_path / "batch.h5")
     assert "12 renderings" in batch
-    query = run_example(sys.executable, EXAMPLES / "match_query.py", store, photo)
+    printed = run_example(sys.executable, EXAMPLES / "match_photo.py", store, photo)
     line = r": (\S+) (\S+) heading (\S+) from true north confidence [01]\.\d\d$"
-    places = re.findall(line, query, re.MULTILINE)
+    places = re.findall(line, printed, re.MULTILINE)
     assert 1 <= len(places) <= 3
     lat, lon, heading_deg = map(float, places[0])
     assert abs(heading_deg - 140.95) < 1.5  # the grid's 140, and 0.95 of convergence

@@ -22,9 +22,9 @@ def scene():
     return make_scene("clear", 3, 320, 240)
 
 
-def close_to(query, scene):
-    on = query.trusted
-    return on.mean() > 0.9 and np.median(np.abs(query.row_px - scene.row_px)[on]) < 1.0
+def close_to(skyline, scene):
+    on = skyline.trusted
+    return on.mean() > 0.9 and np.median(np.abs(skyline.row_px - scene.row_px)[on]) < 1.0
 
 
 def as_grey(scene):
@@ -55,15 +55,15 @@ def test_pixels_and_standard_input_give_the_skyline_of_the_file(tmp_path, scene,
     of_file = read_skyline(path, 60.0)
     monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(path.read_bytes())))
     for other in (scene.image, Image.open(path), "-"):
-        query = read_skyline(other, 60.0)
-        np.testing.assert_array_equal(query.row_px, of_file.row_px)
-        assert query.fov_deg == 60.0
+        skyline = read_skyline(other, 60.0)
+        np.testing.assert_array_equal(skyline.row_px, of_file.row_px)
+        assert skyline.fov_deg == 60.0
 
 
 def test_a_dithered_photo_is_no_mask(tmp_path, scene):
     Image.fromarray(scene.image).convert("1").save(tmp_path / "dithered.png")
-    query = read_skyline(tmp_path / "dithered.png")
-    assert np.median(np.abs(query.row_px - scene.row_px)[query.trusted]) < 3.0
+    skyline = read_skyline(tmp_path / "dithered.png")
+    assert np.median(np.abs(skyline.row_px - scene.row_px)[skyline.trusted]) < 3.0
 
 
 def test_sky_cut_away_to_transparent_is_white(tmp_path):
@@ -119,17 +119,17 @@ def test_a_turned_photo_is_the_same_in_every_container(
     path = tmp_path / f"turned.{container}"
     stored.save(path, exif=exif.tobytes(), **CONTAINERS[container])
     photo = read_photo(path)
-    query = find_skyline(photo)
+    skyline = find_skyline(photo)
     assert photo.rgb.shape[1::-1] == upright
     off = np.abs(photo.rgb.astype(int) - np.asarray(picture))
     assert off.mean() < (3.0 if container in ("jpg", "avif", "heic") else 1e-9)
     # 4:3 with a diagonal of 43.27 mm: 34.61 mm by 25.96 mm, before 36 mm.
     side_mm = 34.613 if upright == (320, 240) else 25.960
-    assert query.fov_deg == pytest.approx(2 * np.degrees(np.arctan(side_mm / 72)), abs=0.01)
+    assert skyline.fov_deg == pytest.approx(2 * np.degrees(np.arctan(side_mm / 72)), abs=0.01)
     plain = extract_skyline(np.asarray(picture))
-    both = query.trusted & plain.trusted
+    both = skyline.trusted & plain.trusted
     assert both.mean() > 0.9
-    assert np.median(np.abs(query.row_px - plain.row_px)[both]) < 0.5
+    assert np.median(np.abs(skyline.row_px - plain.row_px)[both]) < 0.5
 
 
 def test_the_photos_of_a_folder_are_known_by_their_content(tmp_path):

@@ -20,8 +20,8 @@ def test_panorama_file_says_its_own_span(tmp_path):
     xmp = xmp_packet(ATTRIBUTES, **noted).encode()
     image = make_scene("clear", 104, 960, 240).image
     Image.fromarray(image).save(tmp_path / "wide.jpg", quality=95, xmp=xmp)
-    query = read_skyline(tmp_path / "wide.jpg")
-    assert (query.projection, query.fov_deg) == (CYLINDER, 120.0)
+    skyline = read_skyline(tmp_path / "wide.jpg")
+    assert (skyline.projection, skyline.fov_deg) == (CYLINDER, 120.0)
     # Options take precedence over notes of the file.
     chosen = read_skyline(tmp_path / "wide.jpg", 100.0, projection=SPHERE)
     assert (chosen.projection, chosen.fov_deg, chosen.lens) == (SPHERE, 100.0, None)
@@ -34,10 +34,10 @@ def test_a_phone_s_panorama_is_known_as_one(tmp_path):
     exif.get_ifd(IFD.Exif).update({Base.CustomRendered: 6, Base.FocalLengthIn35mmFilm: 28})
     scene = make_scene("clear", 104, 960, 240)
     Image.fromarray(scene.image).save(tmp_path / "swept.jpg", quality=95, exif=exif)
-    query = read_skyline(tmp_path / "swept.jpg")
-    assert query.projection is CYLINDER
-    assert 200.0 < query.fov_deg < 300.0
-    assert query.lens.fov_sd_deg > 20.0
+    skyline = read_skyline(tmp_path / "swept.jpg")
+    assert skyline.projection is CYLINDER
+    assert 200.0 < skyline.fov_deg < 300.0
+    assert skyline.lens.fov_sd_deg > 20.0
     chosen = read_skyline(tmp_path / "swept.jpg", projection=Projection.PERSPECTIVE)
     assert (chosen.projection, chosen.fov_deg, chosen.lens) == (Projection.PERSPECTIVE, None, None)
 

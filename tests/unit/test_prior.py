@@ -53,8 +53,8 @@ def test_its_pull_is_the_slope_of_the_cost():
 
 @pytest.mark.parametrize("prior", [NOTED, None])
 def test_a_step_is_pulled_to_the_noted_place(prior):
-    query = rays_of(*seen(hills, 350.0), 60.0)
-    solver = Solver(query, FINE, EyeHeightPrior(2.0, 5.0), 5.0, prior)
+    rays = rays_of(*seen(hills, 350.0), 60.0)
+    solver = Solver(rays, FINE, EyeHeightPrior(2.0, 5.0), 5.0, prior)
     eye = THERE + 60.0, SEA, np.zeros((1, 2)), np.full(1, 2.0)
     curves = Curves.of(*panorama_of(hills, distance_m=1e6), *eye)
     fit = solver.settle(curves, solver.start(poses(grid_heading_deg=350.0)))

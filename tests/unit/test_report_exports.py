@@ -43,8 +43,8 @@ PHOTO = np.full((30, 40, 3), 99, np.uint8)
 
 
 def matches():
-    query = PhotoSkyline(np.full(40, 10.0), np.ones(40), 40, 30)
-    return [MatchResult(query, (BEST, OTHER), 1.0, name=NAME)]
+    skyline = PhotoSkyline(np.full(40, 10.0), np.ones(40), 40, 30)
+    return [MatchResult(skyline, (BEST, OTHER), 1.0, name=NAME)]
 
 
 def test_kml_has_places_views_and_the_photo_in_the_landscape(tmp_path):
@@ -162,8 +162,8 @@ def test_geojson_and_kml_cut_what_crosses_the_antimeridian(tmp_path):
     fiji = Frame.local(lon=180.0, lat=-17.0)
     covariance_m2 = ((400.0, 100.0), (100.0, 900.0))
     held = candidate_at(-5.0, 0.0, 90.0, covariance_m2=covariance_m2, frame=fiji)
-    query = PhotoSkyline(np.full(9, 4.0), np.ones(9), 9, 6)
-    matches = [MatchResult(query, (held,), 0.0, name="q.jpg")]
+    skyline = PhotoSkyline(np.full(9, 4.0), np.ones(9), 9, 6)
+    matches = [MatchResult(skyline, (held,), 0.0, name="q.jpg")]
     export_matches(tmp_path / "a.geojson", matches, fiji)
     point, *shapes = json.loads((tmp_path / "a.geojson").read_text())["features"]
     assert point["geometry"]["coordinates"][0] == pytest.approx(179.99995, abs=1e-5)

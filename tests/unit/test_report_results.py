@@ -19,14 +19,14 @@ from skyline.match.result import MatchResult
 from skyline.photo.skyline import PhotoSkyline
 from skyline.report.results_file import RESULTS, ResultsFile
 
-QUERY = PhotoSkyline(np.full(8, 3.0), np.ones(8), 8, 8, 60.0)
+SKYLINE = PhotoSkyline(np.full(8, 3.0), np.ones(8), 8, 8, 60.0)
 PLACE = candidate_at(
     1000.0, 2000.0, 131.0, confidence=0.9, confidence_1km=0.95,
     covariance_m2=((9.0, 0.0), (0.0, 9.0)),
 )  # fmt: skip
-RESULT = MatchResult(QUERY, (PLACE,), 2.0, None, 200.0, "a,b.jpg")
+RESULT = MatchResult(SKYLINE, (PLACE,), 2.0, None, 200.0, "a,b.jpg")
 FOUND = RESULT.to_row()
-NOTHING = MatchResult(QUERY, (), 1.0, "no\nplace", name="c.jpg").to_row()
+NOTHING = MatchResult(SKYLINE, (), 1.0, "no\nplace", name="c.jpg").to_row()
 BROKEN = {"photo": "d.jpg", "answered": 0, "reason": "d.jpg is not an image"}
 
 
