@@ -103,24 +103,40 @@ def report(folder, results, matcher=MATCHER, peaks=None, photos=None, done=""):
     return page.read_text()
 
 
-def test_a_report_says_where_and_shows_it(tmp_path):
-    place = {"easting_m": np.array([1500.0]), "northing_m": np.array([3000.0])}
-    peaks = Peaks(names=("<i>Top</i> $ \u5bcc\u58eb\u5c71",), **place, height_m=np.array([np.nan]))
+@pytest.fixture
+def shown(tmp_path):
+    """The page of a report of one photo, whose name and whose peak's are markup."""
+    place_m = {"easting_m": np.array([1500.0]), "northing_m": np.array([3000.0])}
+    peaks = Peaks(
+        names=("<i>Top</i> $ \u5bcc\u58eb\u5c71",), **place_m, height_m=np.array([np.nan])
+    )
     photo = np.full((HEIGHT_PX, WIDTH_PX, 3), 120, np.uint8)
     found = MatchResult(SKYLINE, (BEST, OTHER), 1.5, name="a/<script>.jpg")
-    html = report(tmp_path, [found], MATCHER, peaks, [photo], "Matched & refined.")
-    assert f"{BEST.lat:.5f}" in html
-    assert f"{BEST.lon:.5f}" in html
-    assert "confidence 90\N{NO-BREAK SPACE}%" in html
-    assert "&lt;script&gt;.jpg" in html
-    assert "<script" not in html
-    assert "<i>" not in html
-    # Pictures are inside, and nothing is loaded from anywhere.
-    assert html.count('src="data:image/') == 2
-    assert not re.search(r'src="(?!data:)|url\(|@import|<link|<iframe', html)
-    assert "default-src 'none'" in html
-    assert "Matched &amp; refined. It took 1.50 s." in html
-    assert "0.0" in html.split("they are ")[1][:4]
+    return report(tmp_path, [found], MATCHER, peaks, [photo], "Matched & refined.")
+
+
+def test_a_report_says_where_the_photo_was_taken(shown):
+    assert f"{BEST.lat:.5f}" in shown
+    assert f"{BEST.lon:.5f}" in shown
+    assert "confidence 90\N{NO-BREAK SPACE}%" in shown
+    assert "Matched &amp; refined. It took 1.50 s." in shown
+    assert "0.0" in shown.split("they are ")[1][:4]
+
+
+def test_a_report_takes_no_name_for_markup(shown):
+    assert "&lt;script&gt;.jpg" in shown
+    assert "<script" not in shown
+    assert "<i>" not in shown
+
+
+def test_a_report_holds_its_pictures_and_loads_nothing(shown):
+    assert shown.count('src="data:image/') == 2
+    assert not re.search(r'src="(?!data:)|url\(|@import|<link|<iframe', shown)
+    assert "default-src 'none'" in shown
+
+
+@pytest.mark.usefixtures("shown")
+def test_a_report_shows_its_map_in_a_file_of_its_own(tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == [
         "01-map.png", "01-overlay.jpg", "index.html", "matches.geojson",
     ]  # fmt: skip
