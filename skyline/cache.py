@@ -105,7 +105,7 @@ class CachedArea:
         return self.store.is_file() and self.terrain.is_file()
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the area as JSON can hold it, with the sizes of its files."""
+        """Return the area for JSON, with the sizes of its files."""
         about = [(path, path.stat()) for path in self.folder.rglob("*") if path.is_file()]
         tiles = [known.st_size for path, known in about if path.parent.name == "tiles"]
         latest = max((known.st_mtime for _, known in about), default=self.folder.stat().st_mtime)
@@ -139,7 +139,7 @@ def prepare_area(
     print_note: PrintNote = lambda _: None,
     bar: Bar = lambda _: nullcontext(),
 ) -> CachedArea:
-    """Return an area from the cache, which is built if it is missing.
+    """Return an area from the cache; build it if it is missing.
 
     ``dem`` are elevation files, or folders of them. Without it, tiles are fetched from ``source``,
     a source of `fetch_dem`: by default ``$SKYLINE_DEM_SOURCE``, else Copernicus. Raises
@@ -190,7 +190,10 @@ def cached_files() -> set[Path]:
 
 
 def clear_cache(print_note: PrintNote = lambda _: None) -> int:
-    """Remove all areas but those that another process is making; return their number."""
+    """Remove all areas, and return their number.
+
+    Areas that another process is making stay.
+    """
     cleared = 0
     with _explained():
         for area in cached_areas():
@@ -224,7 +227,10 @@ _TERRAIN = str(Path(_STORE).with_suffix(SUFFIX))
 
 
 def _origin(files: Sequence[str], source: str) -> str:
-    """Return the folder's name for areas of some files, or of a source."""
+    """Return the name of the folder for a DEM's areas.
+
+    The DEM is some files, or comes from a source if there are none.
+    """
     if not files:
         template = SOURCES.get(source, source)
         name = source if source in SOURCES else urlsplit(template).hostname or "source"
@@ -252,7 +258,10 @@ def _km2(bounds_deg: Bounds) -> float:
 
 
 def _name_of(bounds_deg: Bounds) -> str:
-    """Return the name of an area's folder: its bounds, rounded outwards to a kilometre."""
+    """Return the name of an area's folder.
+
+    The name has the area's bounds, rounded outwards to a kilometre.
+    """
     rounded = [math.floor(100.0 * side) for side in bounds_deg[:2]]
     rounded += [math.ceil(100.0 * side) for side in bounds_deg[2:]]
     limits = (18000, 9000, 18000, 9000)
@@ -278,7 +287,7 @@ def _areas_in(folders: Iterable[Path]) -> list[CachedArea]:
 def _fetch(
     folder: Path, bounds: Bounds, source: str, print_note: PrintNote, bar: Bar
 ) -> tuple[str, ...]:
-    """Fetch the tiles of all terrain seen from an area; return their files."""
+    """Fetch tiles of all terrain seen from an area; return the files."""
     seen = _seen_from(bounds)
     where = ",".join(f"{side:.2f}" for side in seen)
     print_note(
@@ -339,7 +348,10 @@ def _unwritable(reason: str) -> InputError:
 
 @contextmanager
 def _explained() -> Iterator[None]:
-    """Turn errors of a full or forbidden disk into one that names the cache."""
+    """Turn errors of a disk into one that names the cache.
+
+    They are errors of a full disk, and of a disk that may not be written.
+    """
     no_room = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
     no_rights = {errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR, errno.EEXIST}
     try:
@@ -357,7 +369,7 @@ def _explained() -> Iterator[None]:
 
 @contextmanager
 def hold_area(folder: Path, print_note: PrintNote | None = None) -> Iterator[bool]:
-    """Hold an area's lock for the block, and yield whether it was obtained.
+    """Hold an area's lock for the block; yield whether it was obtained.
 
     The folder is made if it is missing. With ``print_note`` the function waits for another process,
     else it gives up at once. A folder that contains only the lock at the end is removed.
@@ -372,7 +384,10 @@ def hold_area(folder: Path, print_note: PrintNote | None = None) -> Iterator[boo
 
 
 def _lock(folder: Path, print_note: PrintNote | None) -> TextIO | None:
-    """Return the open file of an area's lock; None if another has it."""
+    """Return the open file of an area's lock.
+
+    None if another process has the lock.
+    """
     before_waiting = None
     if print_note is not None:
         before_waiting = partial(
@@ -387,7 +402,7 @@ def _lock(folder: Path, print_note: PrintNote | None) -> TextIO | None:
 
 
 def _remove_unused(folder: Path) -> None:
-    """Remove an area's folder if it has nothing but the lock, which is held."""
+    """Remove an area's folder if it has nothing but the held lock."""
     with suppress(OSError):
         (folder / "tiles").rmdir()
     with suppress(OSError):

@@ -1,4 +1,7 @@
-"""Files: reading, writing whole or not at all, folders of files, locks, names for GDAL."""
+"""Files: reading, writing, folders, locks, and names for GDAL.
+
+A file is written whole or not at all.
+"""
 
 import fcntl
 import os
@@ -171,7 +174,7 @@ def names_in_words(names: Sequence[str]) -> str:
 
 
 def left_out_in_words(names: Sequence[str], expected: str) -> str:
-    """Return a clause on the files of a folder that are left out."""
+    """Return a clause on a folder's files that are left out."""
     one = len(names) == 1
     number, verb = ("1 file", "is") if one else (f"{len(names)} files", "are")
     return f"{number} {verb} left out, which {verb} no {expected}: {names_in_words(names)}"
@@ -219,13 +222,19 @@ def lock_file(path: Path, before_waiting: Callable[[], object] | None = None) ->
 
 
 def lies_in_any(output: Path, folders: Iterable[str]) -> bool:
-    """Return whether an output is one of some folders, or lies in one or in a folder of it."""
+    """Return whether an output is one of some folders, or inside one.
+
+    It may lie in a folder of such a folder.
+    """
     place = output.resolve()
     return not {Path(one).resolve() for one in folders}.isdisjoint([place, *place.parents])
 
 
 def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path]) -> None:
-    """Raise `InputError` for an output that is an input or another output, or cannot be made."""
+    """Check the outputs of a command.
+
+    Raises `InputError` for an output that is an input or another output, or that cannot be made.
+    """
     read = [path for path in inputs if is_file(path)]
     named = [path for path in outputs if path is not None]
     places = [path.resolve() for path in named]
@@ -255,7 +264,7 @@ def for_gdal(name: str) -> str:
 
 
 def member_name(archive: str | Path, member: str) -> str:
-    """Return the name by which GDAL opens a member of a zip archive."""
+    """Return GDAL's name for a member of a zip archive."""
     return f"/vsizip/{{{archive}}}/{member}"
 
 

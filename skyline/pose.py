@@ -312,7 +312,10 @@ class NotedPose:
 
 
 def _wander_in(record: Mapping[str, Any], source: str) -> tuple[float, ...]:
-    """Return a record's wander of a panorama's rows; raises `InputError` for no list."""
+    """Return a record's wander of a panorama's rows.
+
+    Raises `InputError` unless the wander is missing or a list of the right length.
+    """
     wander = record.get("wander") or []
     if not isinstance(wander, list | tuple) or len(wander) not in {0, len(WANDER_DEGREES)}:
         raise InputError(

@@ -43,7 +43,10 @@ def _records_in(path: Path) -> list[Any]:
 
 
 def _record_of(records: list[Any], path: Path, photo: Path) -> Any:
-    """Return the record of a photo; None if there is none in a file without records."""
+    """Return the record of a photo; None in a file without records.
+
+    Raises `InputError` unless one of several records is of the photo.
+    """
     if len(records) <= 1:
         return records[0] if records else None
     named = {"photo": printable(photo)}

@@ -47,7 +47,10 @@ WITHIN_M = (15.0, 50.0, 100.0)
 def gather_headings(
     data: Path, queries: int, seed: int, progress: Progress
 ) -> dict[str, list[Example]]:
-    """Orient queries of each kind on every terrain, each in a process; return the examples."""
+    """Orient queries of each kind on every terrain; return the examples.
+
+    Each terrain has a process of its own.
+    """
     terrains = list(LEARNED | HELD_OUT)
     found: dict[str, list[Example]] = {}
     gathered = over_processes(partial(_gathered_on, data, queries, seed), terrains)
@@ -58,7 +61,10 @@ def gather_headings(
 
 
 def _gathered_on(data: Path, queries: int, seed: int, name: str) -> list[Example]:
-    """Orient queries of one terrain, of others like it, of a coarse model's, and strangers."""
+    """Orient queries of one terrain; return the examples.
+
+    There are queries of the terrain, of others like it and of a coarse model, and strangers.
+    """
     terrain, strange = read_terrains(data, name)
     area = middle_of(terrain)
     other, coarse = perturbed(terrain, seed=seed), resampled(terrain, COARSE_M)
@@ -76,7 +82,10 @@ def _gathered_on(data: Path, queries: int, seed: int, name: str) -> list[Example
 def _oriented(
     model: HeightField, queries: Iterable[SyntheticQuery], seed: int, *, is_strange: bool
 ) -> Iterator[Example]:
-    """Orient queries on a model, from places drawn about the true ones or, of strangers, any."""
+    """Orient queries on a model.
+
+    Places are drawn about the true ones; strangers have any place.
+    """
     rng = np.random.default_rng([seed, 1])
     west, south, east, north = middle_of(model)
     with orienters(model) as orienter_at:
@@ -98,7 +107,10 @@ def _oriented(
 
 
 def _figures_of(orienter: Orienter, query: SyntheticQuery) -> tuple[dict[str, float], float] | None:
-    """Return the figures of the best pose, and its grid heading; None if nothing fits."""
+    """Return the figures of the best pose, and its grid heading.
+
+    None if nothing fits.
+    """
     if not query.skyline.trusted.any():
         return None
     rays = query.rays()

@@ -17,7 +17,10 @@ dem = typer.Typer(
 
 @dem.callback()
 def _group() -> None:
-    """Do nothing: with this callback, `fetch` stays a subcommand although it is the only one."""
+    """Do nothing; with this callback, `fetch` stays a subcommand.
+
+    It is the only one, and Typer would otherwise take it for the whole command.
+    """
 
 
 @dem.command()

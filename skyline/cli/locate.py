@@ -75,9 +75,10 @@ def locate(
     same_place: SamePlace = False,
     use_gps: UseGps = False,
 ) -> None:
-    """Find where photos were taken, fetching the elevation of the area and building its store.
+    """Find where photos were taken, fetching the elevation of the area.
 
-    Both are kept for the next photo of the area; `skyline cache` lists them.
+    The store of the area is built, too. Both are kept for the next photo of the
+    area; `skyline cache` lists them.
     """
     common = entry_of(
         fov_deg, projection, near, bounds, (heading, heading_slack), eye_height, use_gps, peaks

@@ -48,7 +48,10 @@ def orient(
     as_json: AsJson = False,
     crs: Crs = None,
 ) -> None:
-    """Find how cameras were held at a known position: heading, pitch, roll and field of view."""
+    """Find how cameras were held at a known position.
+
+    The heading, pitch, roll and field of view of each camera are given.
+    """
     terminal = Terminal.of(context, as_json)
     stood = CameraAt(
         lonlat_deg=None if at is None else parse_position(at),

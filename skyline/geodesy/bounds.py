@@ -1,4 +1,4 @@
-"""Degrees: boxes of longitudes and latitudes, turns, and distances in words for people.
+"""Boxes of longitudes and latitudes, turns, and distances in words.
 
 Azimuths inside the program are from grid north; people read azimuths from true north, and degrees
 of WGS 84.

@@ -48,7 +48,7 @@ not modelled."""
 _WIDEST_ANGLE = len(ANGLES_DEG) - 1
 _WIDEST_HEIGHT = len(HEIGHT_SHARES) - 1
 _NEIGHBOURS = ((-1, 0), (0, -1), (1, 0), (0, 1))
-"""Steps that are tried of the indices into `ANGLES_DEG` and `HEIGHT_SHARES`."""
+"""Steps of the indices into `ANGLES_DEG` and `HEIGHT_SHARES` that are tried."""
 _MOVES = slice(EAST, HEADING)
 """The columns of a state that move the eye."""
 _AGREEMENT_RAD = np.radians(np.arange(-4.0, 4.01, 0.25))

@@ -37,7 +37,7 @@ class _Limits:
     """A field of view counts as at an end of the searched range if its distance from the end is
     less than this share of the range: a fit held at a bound may differ from it by rounding."""
     least_of_fit: float = 0.75
-    """Least share of right ones among poses that fit like a given one. The share is learned from
+    """Least share of right poses among those that fit like a given one. The share is learned from
     the best poses of searches; a pose that a person gives is right more often."""
 
 

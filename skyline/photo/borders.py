@@ -123,9 +123,10 @@ def _bar_length(image: UInt8Array) -> int:
 
 
 def _is_content(row: UInt8Array, colour: Float64Array) -> bool:
-    """Return whether a row (N, 3) differs from a bar's colour nearly everywhere.
+    """Return whether a row (N, 3) shows more than a bar.
 
-    Borders of that colour at the row's ends are ignored, as long as most of the row remains.
+    It does if it differs from the bar's colour nearly everywhere. Borders of that colour at the
+    row's ends are ignored, as long as most of the row remains.
     """
     differs = np.flatnonzero(~_alike(row, colour))
     if differs.size < _BARS.same_share * len(row):

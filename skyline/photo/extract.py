@@ -110,7 +110,7 @@ class Correction:
     ----------
     photo : Photo
     beside_px : int
-        Columns beside those that a stroke changes, on each side, that are refined again with them.
+        Columns to either side of a stroke that are refined again with its own columns.
 
     Raises
     ------
@@ -275,7 +275,10 @@ def _at_working_size(photo: UInt8Array) -> UInt8Array:
 
 
 def _skyline_share(small: UInt8Array) -> Float32Array:
-    """Return the probability (h, w) that the column's skyline runs through the pixel."""
+    """Return the probability (h, w) of the skyline in each pixel.
+
+    It is the probability that the column's skyline runs through the pixel.
+    """
     height, width = small.shape[:2]
     odds = network_odds(small)
     # Odds of no skyline, relative to a row of the enlarged picture.

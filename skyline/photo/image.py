@@ -204,7 +204,7 @@ def _unlimited_size() -> Iterator[None]:
 def shrink_if_large(name: str, image: Image.Image, limits: SizeLimits = LIMITS) -> None:
     """Let a large JPEG be decoded smaller, and refuse other large images.
 
-    A raw file is a TIFF whose first picture is a preview, of which NewSubfileType is 1. Raises
+    A raw file is a TIFF whose first picture is a preview, with 1 as its NewSubfileType. Raises
     `InputError`.
     """
     width, height = image.size

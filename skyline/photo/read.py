@@ -60,10 +60,10 @@ def read_skyline(
 def named_skyline(
     photo: Picture | PhotoSkyline, fov_deg: float | None = None
 ) -> tuple[str, PhotoSkyline]:
-    """Return the file of a photo, empty for pixels and for a skyline, and its skyline.
+    """Return the file of a photo, and the photo's skyline.
 
-    The skyline has the given field of view, or else its own. Raises as `read_skyline`, and
-    `InputError` for anything but one photo.
+    The file is empty for pixels and for a skyline. The skyline has the given field of view, or else
+    its own. Raises as `read_skyline`, and `InputError` for anything but one photo.
     """
     if fov_deg is not None:
         error = f"the field of view is {fov_deg!r}; expected a number of degrees"

@@ -1,7 +1,8 @@
-"""Windows: parts of a height field on the GPU, with trees of slabs.
+"""Parts of a height field on the GPU, with trees of slabs.
 
-A field up to a limit is one window. A larger one is cut into windows that share their border
-lines of samples, and a skyline over it is the greatest of its skylines over the windows.
+A part is a `Window`. A field up to a limit is one window. A larger one is cut into windows that
+share their border lines of samples, and a skyline over it is the greatest of its skylines over the
+windows.
 """
 
 import itertools
@@ -51,7 +52,10 @@ class GpuLimits:
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """A rectangle of samples: rows ``row`` to ``row + rows - 1``, and columns likewise."""
+    """A rectangle of samples.
+
+    It has rows ``row`` to ``row + rows - 1``, and columns ``col`` to ``col + cols - 1``.
+    """
 
     row: int
     col: int
@@ -150,7 +154,10 @@ class WindowTextures:
         """Upper bounds of the heights: code c stands for ``lowest_m + c * code_step_m``."""
 
     def _trees_of_heights(self, heights_m: Float32Array) -> Trees:
-        """Build the bounds of heights (rows, cols); headings of one axis share a tree."""
+        """Build the trees of slabs over heights (rows, cols).
+
+        Headings of one axis share a tree.
+        """
 
         def built(seen: Float32Array, steepest: float) -> _Tree:
             slopes = np.linspace(-steepest, steepest, SLOPE_BINS + 1)
@@ -225,10 +232,10 @@ def _stacked(ctx: moderngl.Context, trees: Sequence[_Tree], dtype: str) -> Trees
 
 
 def _quadrant(heading: int, grows: bool) -> tuple[bool, bool]:
-    """Return whether rays along a heading go north, and whether they go east.
+    """Return whether rays along a heading go north, and whether east.
 
-    Their slope in array order is positive if it ``grows``, else negative. It is in columns per row
-    for headings 0 and 2, and in rows per column for 1 and 3.
+    The rays' slope in array order is positive if it ``grows``, else negative. It is in columns per
+    row for headings 0 and 2, and in rows per column for 1 and 3.
     """
     forward = heading in (1, 2)
     aside = grows == forward
@@ -236,7 +243,10 @@ def _quadrant(heading: int, grows: bool) -> tuple[bool, bool]:
 
 
 def _with_apron(field: HeightField, window: Window) -> Float32Array:
-    """Return a window's heights and one sample around them, NaN off the map."""
+    """Return a window's heights with a border one sample wide.
+
+    Samples off the map are NaN.
+    """
     heights = np.full((window.rows + 2, window.cols + 2), np.nan, dtype=np.float32)
     top = window.row - 1
     left = window.col - 1

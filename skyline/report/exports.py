@@ -68,7 +68,7 @@ class _Placemark:
 
     @classmethod
     def of(cls, photo: str, pose: Pose) -> Self:
-        """Return the placemark of a pose of a photo, whose file is given."""
+        """Return the placemark of a photo's pose, with the photo's file."""
         confidence = dict(zip(COLUMNS, pose.cells(), strict=True))["confidence"]
         sure = f"; confidence {confidence}" if confidence else ""
         description = (

@@ -1,4 +1,4 @@
-"""The format of a store: its header, the layout of its rows, and their checksums.
+"""The format of a store: its header, rows and checksums.
 
 A row is a rendering (a view with its skyline and keypoints) or a place (`skyline.store.places`).
 

@@ -1,4 +1,4 @@
-"""Orienting photos: how the camera of each was held at its known position."""
+"""Orienting photos: finding how cameras were held at known positions."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -26,7 +26,10 @@ class CameraAt:
             raise InputError(f"--elevation {self.elevation_m:g} needs a position; give --at too")
 
     def place_of(self, photo: PhotoSkyline, name: str) -> Place:
-        """Return where a photo was taken; raises `InputError` if neither it nor the user knows."""
+        """Return where a photo was taken.
+
+        Raises `InputError` if neither the photo nor the user gives a position.
+        """
         if self.lonlat_deg is None:
             lon, lat, elevation_m, usual_m = noted_place(photo, name)
         else:
@@ -39,7 +42,10 @@ class CameraAt:
 def orient_photos(
     terrain: HeightField, entries: Iterable[Entry], at: CameraAt
 ) -> Iterator[Orientation | SkylineError]:
-    """Yield how the camera of each photo was held, or the error of a photo that cannot be used."""
+    """Yield how the camera of each photo was held.
+
+    For a photo that cannot be used, its error is yielded.
+    """
     with orienters(terrain) as orienter_at:
         for entry in entries:
             try:

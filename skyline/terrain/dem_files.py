@@ -1,8 +1,9 @@
-"""The files of a DEM as people name them: files, addresses, zip archives, and folders of these.
+"""The files of a DEM, found from the paths that users give.
 
-GDAL says which files of a folder or an archive are rasters. Their sidecar files are passed over;
-files that hold no heights, such as texts and pictures, are left out with a warning. A file that
-may be a tile but cannot be read is an error, since a mountain may be in it.
+A path is a file, an address, a zip archive, or a folder of these. GDAL says which files of a folder
+or an archive are rasters. Their sidecar files are passed over; files that hold no heights, such as
+texts and pictures, are left out with a warning. A file that may be a tile but cannot be read is an
+error, since a mountain may be in it.
 """
 
 import logging

@@ -1,4 +1,4 @@
-"""Terrain as a metric grid of heights: the surface that all renderers share.
+"""Height fields: metric grids of heights, which all renderers share.
 
 Each cell between four samples is two triangles, split along the diagonal that joins its north-west
 and south-east samples. A triangle with a hole (NaN) among its samples is not part of the surface.

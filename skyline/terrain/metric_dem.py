@@ -1,4 +1,7 @@
-"""A DEM in metres: its samples repaired, and warped where its own map cannot be the frame."""
+"""Elevation models, repaired and in metres.
+
+A model is warped where its own map cannot be the frame.
+"""
 
 import logging
 from dataclasses import asdict, dataclass

@@ -1,4 +1,7 @@
-"""Rasters that GDAL opens: plain, packed or on a server; their bands, and their errors."""
+"""Rasters that GDAL opens, with their bands and their errors.
+
+A raster is a plain file, a file in an archive, or a file on a server.
+"""
 
 import gzip
 import re

@@ -1,4 +1,6 @@
-"""Tiles: rasters of heights in files, open datasets and arrays, described before they are read.
+"""Tiles: rasters of heights, described before they are read.
+
+A tile comes from a file, an open dataset or an array.
 
 To support a new kind of DEM, add a function here that returns a `Tile`; `open_tile` chooses it for
 a path. `skyline.terrain.mosaic` then reads it, and all commands take it.

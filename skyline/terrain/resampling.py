@@ -1,4 +1,6 @@
-"""Resampling of heights from a grid in one CRS to a square grid in metres; summits are kept.
+"""Resampling of heights to a square grid in metres.
+
+The source grid may be in any CRS, and summits are kept.
 
 GDAL's ``WarpedVRT`` overshoots: 4 to 18 % of the summits of Davos, California and Everest came out
 more than 1 m too high. Here no sample is higher than the source's samples around it.

@@ -1,10 +1,11 @@
-"""The tree of slabs over a height field, which bounds the terrain above rays that march over it.
+"""The tree of slabs, which bounds terrain heights along rays.
 
-Seen along one axis, the field is cut across into strips (rows of cells), and these are joined into
-slabs of 2, 16, 128, 1024 strips. A ray drifts sideways by its slope, in cells per strip, so it
-meets only part of a slab. The tree groups rays by bins of slope, and by the block of columns in
-which they enter a band of eight slabs. For each group and each of the eight slabs it holds the
-greatest height near any ray of the group.
+It lets rays that march over a height field skip terrain that they cannot meet. Seen along one axis,
+the field is cut across into strips (rows of cells), and these are joined into slabs of 2, 16, 128,
+1024 strips. A ray drifts sideways by its slope, in cells per strip, so it meets only part of a
+slab. The tree groups rays by bins of slope, and by the block of columns in which they enter a band
+of eight slabs. For each group and each of the eight slabs it holds the greatest height near any ray
+of the group.
 """
 
 import itertools

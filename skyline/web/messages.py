@@ -1,6 +1,7 @@
-"""Messages of the page and the server in JSON: requests, checked and converted, and answers.
+"""Messages of the page and the server in JSON.
 
-`NotedPose` and `Narrowing` check their own numbers.
+Requests are checked and converted, and answers are made. `NotedPose` and `Narrowing` check their
+own numbers.
 """
 
 from collections.abc import Mapping
@@ -110,7 +111,7 @@ def outcome_json(result: MatchResult, engine: Engine) -> dict[str, Any]:
 
 
 def _candidate_json(candidate: Pose, engine: Engine) -> dict[str, Any]:
-    """Return a candidate's pose, and beside it what the page shows of a candidate."""
+    """Return a candidate's pose, and what the page shows beside it."""
     return {
         "pose": {name: _known(value) for name, value in candidate.to_dict().items()},
         "rank": candidate.rank,
@@ -121,7 +122,10 @@ def _candidate_json(candidate: Pose, engine: Engine) -> dict[str, Any]:
 
 
 def _ellipse_json(candidate: Pose, frame: Frame) -> list[list[float]] | None:
-    """Return longitude and latitude along a candidate's ellipse; None where it is not known."""
+    """Return longitudes and latitudes along a candidate's ellipse.
+
+    None where the ellipse is not known.
+    """
     ellipse = Ellipse.of(candidate)
     if ellipse is None:
         return None

@@ -94,7 +94,7 @@ def test_a_store_in_place_of_a_dem_is_told(run, store):
 
 def test_other_bounds_for_a_store_are_explained(run):
     shown = " ".join(run("build", "--help").ok().out.replace("│", " ").split())
-    assert "One that exists gets the places of other --bounds as well" in shown
+    assert "If it exists, the places of other --bounds are added to it" in shown
 
 
 def test_a_warning_looks_like_an_error(capsys):
