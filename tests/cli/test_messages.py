@@ -14,12 +14,14 @@ import numpy as np
 import pytest
 from commands import assert_refused, csv_of, gps_of, lonlat_of, noting
 from packages import install
-from range_server import Behaviour, serve
+from range_server import Behaviour, serve, serve_apart
+from refusals import assert_says
+from remote_scenes import SIGNATURE, files_beside, on_server
 from scenes import NORTH_M, WEST_M, across_antimeridian, degree_tile, fractal, write_dem
 
-from skyline import Frame, Narrowing, cli, open_store, read_dem
+from skyline import Frame, Matcher, Narrowing, cli, open_store, read_dem
 from skyline.cache import cached_areas
-from skyline.errors import InputError, start_logging
+from skyline.errors import FetchError, InputError, start_logging
 from skyline.fetch.overpass import fetch_peaks
 from skyline.fetch.remote import Patience
 from skyline.files import check_outputs
@@ -472,8 +474,7 @@ class TestLabels:
         assert_refused(done, "would become a part of the DEM")
 
     def test_to_two_outputs_of_one_name(self, dem):
-        with pytest.raises(InputError, match="the name of two outputs"):
-            check_outputs([dem, None, dem], [])
+        assert_says("the name of two outputs", lambda: check_outputs([dem, None, dem], []))
 
 
 def pixels_of(run, read, out):
@@ -691,8 +692,7 @@ class TestLocate:
             noting(one_degree / "photo.jpg", tmp_path / f"{lon}.jpg", gps=gps_of(lon, 46.5))
             for lon in (9.5, 109.5)
         ]
-        with pytest.raises(InputError, match="more than 50 km apart"):
-            area_of(photos, Narrowing())
+        assert_says("more than 50 km apart", lambda: area_of(photos, Narrowing()))
 
 
 def test_a_fetch_with_a_tile_that_is_refused(run, tile_server, tmp_path):
@@ -700,3 +700,51 @@ def test_a_fetch_with_a_tile_that_is_refused(run, tile_server, tmp_path):
     source = os.environ["SKYLINE_DEM_SOURCE"]
     fetch = "dem", "fetch", "--bounds", "9.9,46.4,10.1,46.6", "-o", tmp_path, "--source", source
     assert "1 of 2 tiles could not be fetched, N46E010: " in run(*fetch).err
+
+
+class TestRemoteDems:
+    @pytest.fixture(scope="class")
+    def server(self):
+        with serve_apart(on_server) as apart:
+            yield apart
+
+    @pytest.fixture(scope="class")
+    def folder(self, server, tmp_path_factory):
+        return files_beside(server.address, tmp_path_factory.mktemp("dems"))
+
+    @pytest.mark.parametrize(
+        ("name", "error", "said"),
+        [
+            ("{server}/gone.tif", FetchError, "404.*check the address"),
+            ("http://127.0.0.1:9/a.tif", FetchError, "[Cc]onnect.*whether the server is up"),
+            ("{folder}/gone.json", FetchError, "gone.tif"),
+            (
+                "http://me:secret@127.0.0.1:9/a.tif?key=secret",
+                FetchError,
+                "^http://127.0.0.1:9/a.tif (?!.*secret)",
+            ),
+            ("{server}/page.tif", InputError, "cannot be read as a raster"),
+            ("{folder}/none.json", InputError, "No compatible asset"),
+            (
+                "{folder}/two.json",
+                InputError,
+                "name one of them: STACIT.*asset=data, .*asset=slope",
+            ),
+        ],
+    )
+    def test_that_cannot_be_read(self, server, folder, name, error, said):
+        path = name.format(server=server.address, folder=folder)
+        assert_says(said, lambda: read_dem(path), error)
+
+    def test_whose_address_is_signed(self, server, run):
+        refused = run("info", f"{server.address}/gone.tif{SIGNATURE}")
+        assert refused.err.count("\n") == 1
+        assert "404" in refused.err
+        assert "signature" not in refused.err
+
+    def test_of_a_store_that_contacts_no_server(self, server, run, tmp_path, caplog):
+        build = "build", f"{server.address}/a.tif", "-o", tmp_path / "store.h5", "--spacing", "300"
+        run(*build).ok()
+        with Matcher(tmp_path / "store.h5"):
+            pass
+        assert "--dem" in caplog.text
