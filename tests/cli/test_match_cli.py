@@ -200,6 +200,7 @@ def test_a_repeated_match_ends_as_one_that_did_all_at_once(run, store, photo, tm
     broken.write_bytes(photo.read_bytes()[:2000])
     command = ["match", store, broken, photo, "--fov-deg", "60", "--matcher", "unrefined"]
     first = run(*command, "--results", results, "--export", tmp_path / "first.geojson")
+    assert str(broken) in first.err
     rows = results.read_text()
     again = run(*command, "--results", results)
     assert again.out == ""
