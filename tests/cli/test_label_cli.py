@@ -108,31 +108,36 @@ def test_a_picture_names_the_summits_that_no_font_draws(
     assert UNDRAWN in (tmp_path / "a.svg").read_text()
 
 
-def test_a_pose_is_read_as_commands_print_it(run, dem, photo, pose, tmp_path):
-    record = json.loads(pose.read_text())
-    off = record | {"heading_deg": 10.0}
-    result = {"photo": str(photo), "answer": record, "candidates": [record, off]}
+def lines_of_two(photo, record, off):
+    """Return the lines of another photo's answer and of the photo's."""
     other = {"photo": "other.jpg", "answer": off, "candidates": [off]}
-    forms = {
-        "record": json.dumps(record),
-        "answer": json.dumps(result),
-        "lines": f"{json.dumps(other)}\n{json.dumps(result)}\n",
-        "no answer": json.dumps(result | {"answer": None}),
-        "refused": json.dumps(record | {"photo": str(photo), "refusal": "fog"}),
-    }
-    found, notes = {}, {}
-    for name, text in forms.items():
-        (tmp_path / "form.json").write_text(text)
-        common = "pixels", photo, "--pose", tmp_path / "form.json", "--dem", dem, "--step", 20
+    result = {"photo": str(photo), "answer": record, "candidates": [record, off]}
+    return f"{json.dumps(other)}\n{json.dumps(result)}\n"
+
+
+@pytest.mark.parametrize(
+    ("written", "is_noted"),
+    [
+        (lambda _, record, off: json.dumps({"answer": record, "candidates": [record, off]}), False),
+        (lines_of_two, False),
+        (lambda _, record, off: json.dumps({"answer": None, "candidates": [record, off]}), True),
+        (lambda _, record, off: json.dumps(record | {"refusal": "fog"}), True),
+    ],
+    ids=["answer", "lines", "no answer", "refused"],
+)
+def test_a_pose_is_read_as_commands_print_it(run, dem, photo, pose, tmp_path, written, is_noted):
+    def distances_m(path):
+        common = "pixels", photo, "--pose", path, "--dem", dem, "--step", 20
         done = run(*common, "-o", tmp_path / "form.npz").ok()
-        notes[name] = done.err
         with np.load(tmp_path / "form.npz") as file:
-            found[name] = file["distance_m"]
-    for name in forms:
-        np.testing.assert_array_equal(found[name], found["record"])
-    assert notes["record"] == notes["answer"] == notes["lines"] == ""
-    assert notes["no answer"]
-    assert notes["refused"]
+            return file["distance_m"], done.err
+
+    record = json.loads(pose.read_text())
+    form = tmp_path / "form.json"
+    form.write_text(written(photo, record, record | {"heading_deg": 10.0}))
+    found_m, note = distances_m(form)
+    np.testing.assert_array_equal(found_m, distances_m(pose)[0])
+    assert bool(note) == is_noted
 
 
 @pytest.mark.parametrize("above_m", [0.0, -4.0])

@@ -75,31 +75,38 @@ def test_no_cut_through_real_terrain_is_a_wall(shared_data, name):
         assert border_step_m(lines, np.ones(128, dtype=bool)) == 0.0
 
 
+def sloping_m(lon, lat):
+    """Return the heights (rows, columns) of a plane."""
+    return 1000.0 + 900.0 * (lon - 9.0) + 700.0 * (lat[:, np.newaxis] - 50.0)
+
+
+def tile_of_plane(path, west, north, seconds, crest_m=0.0):
+    """Write a tile of 60 rows, 10 s apart, of the plane, with a crest in its middle."""
+    step, rows, cols = 1.0 / 360.0, 60, round(3600 / seconds / 10)
+    lon = west + seconds * np.arange(cols) * step
+    heights = sloping_m(lon, north - np.arange(rows) * step).astype(np.float32)
+    heights[30, cols // 2] += crest_m
+    transform = from_origin(west - seconds * step / 2, north + step / 2, seconds * step, step)
+    return write_dem(path, heights, "EPSG:4326", transform=transform)
+
+
 def test_tiles_whose_columns_lie_closer_farther_south_become_one_grid(tmp_path):
     """As Copernicus' at 50 degrees: a plane has no seam, crests keep their height."""
-
-    def tile(name, west, north, seconds, change=0.0):
-        step, rows, cols = 1.0 / 360.0, 60, round(3600 / seconds / 10)
-        lon = west + seconds * np.arange(cols) * step
-        lat = north - np.arange(rows) * step
-        heights = (1000.0 + 900.0 * (lon - 9.0) + 700.0 * (lat[:, None] - 50.0)).astype(np.float32)
-        heights[30, cols // 2] += change
-        transform = from_origin(west - seconds * step / 2, north + step / 2, seconds * step, step)
-        return write_dem(tmp_path / name, heights, "EPSG:4326", transform=transform)
-
-    south = [tile(f"s{lon}.tif", lon, 50.0, 1.0) for lon in (9, 10)]
-    north = [tile(f"n{lon}.tif", lon, 50.0 + 1 / 6, 1.5, 400.0) for lon in (9, 10)]
-    mosaic = read_files([*north, *south])
+    tiles = []
+    for lon in (9, 10):
+        tiles.append(tile_of_plane(tmp_path / f"n{lon}.tif", lon, 50.0 + 1 / 6, 1.5, 400.0))
+        tiles.append(tile_of_plane(tmp_path / f"s{lon}.tif", lon, 50.0, 1.0))
+    mosaic = read_files(tiles)
     grid = mosaic.grid
     assert (grid.rows, grid.cols, grid.step_east) == (120, 720, pytest.approx(1 / 360))
     lon = grid.west + np.arange(grid.cols) * grid.step_east
     lat = grid.north - np.arange(grid.rows) * grid.step_north
-    off_m = mosaic.heights_m - (1000.0 + 900.0 * (lon - 9.0) + 700.0 * (lat[:, None] - 50.0))
+    off_m = mosaic.heights_m - sloping_m(lon, lat)
     assert np.isfinite(off_m[:, :-1]).all()
     rows, _ = np.nonzero(np.abs(off_m[:, :-1]) > 0.01)
     assert set(rows) == {30}
-    assert off_m[30, :360].max() == pytest.approx(400.0, abs=1.3)
-    assert off_m[30, 360:].max() == pytest.approx(400.0, abs=1.3)
+    for half in (off_m[30, :360], off_m[30, 360:]):
+        assert half.max() == pytest.approx(400.0, abs=1.3)
 
 
 def test_four_californian_tiles_have_no_seam(shared_data):
