@@ -95,6 +95,25 @@ CONTAINERS = {
 }
 
 
+def turned(path, picture, orientation):
+    """Write a picture as a camera does that was held another way up; return its path."""
+    container = path.suffix[1:]
+    if container == "heic":
+        heif = pytest.importorskip("pillow_heif", reason="pillow-heif (extra heic) is absent")
+        heif.register_heif_opener()
+    if container == "avif" and not features.check("avif"):
+        pytest.skip("this Pillow has no AVIF")
+    stored = picture.transpose(TURNED_BACK[orientation]) if orientation > 1 else picture
+    exif = Image.Exif()
+    exif[Base.Orientation] = orientation
+    noted = exif.get_ifd(IFD.Exif)
+    noted[Base.FocalLengthIn35mmFilm] = 36
+    # The frame that the sensor had is four times as large.
+    noted[Base.ExifImageWidth], noted[Base.ExifImageHeight] = (4 * side for side in stored.size)
+    stored.save(path, exif=exif.tobytes(), **CONTAINERS[container])
+    return path
+
+
 @pytest.mark.parametrize(
     ("container", "orientation", "upright"),
     [("jpg", turn, (320, 240)) for turn in range(1, 9)]
@@ -103,22 +122,8 @@ CONTAINERS = {
 def test_a_turned_photo_is_the_same_in_every_container(
     tmp_path, scene, container, orientation, upright
 ):
-    if container == "heic":
-        heif = pytest.importorskip("pillow_heif", reason="pillow-heif (extra heic) is absent")
-        heif.register_heif_opener()
-    if container == "avif" and not features.check("avif"):
-        pytest.skip("this Pillow has no AVIF")
     picture = Image.fromarray(scene.image).resize(upright)
-    stored = picture.transpose(TURNED_BACK[orientation]) if orientation > 1 else picture
-    exif = Image.Exif()
-    exif[Base.Orientation] = orientation
-    noted = exif.get_ifd(IFD.Exif)
-    noted[Base.FocalLengthIn35mmFilm] = 36
-    # The frame that the sensor had is four times as large.
-    noted[Base.ExifImageWidth], noted[Base.ExifImageHeight] = (4 * side for side in stored.size)
-    path = tmp_path / f"turned.{container}"
-    stored.save(path, exif=exif.tobytes(), **CONTAINERS[container])
-    photo = read_photo(path)
+    photo = read_photo(turned(tmp_path / f"turned.{container}", picture, orientation))
     skyline = find_skyline(photo)
     assert photo.rgb.shape[1::-1] == upright
     off = np.abs(photo.rgb.astype(int) - np.asarray(picture))
