@@ -36,7 +36,7 @@ from skyline.fetch.remote import (
     with_remote,
 )
 from skyline.files import check_folder, for_gdal, write_whole
-from skyline.geodesy.bounds import Bounds, check_bounds, in_turn, width_deg
+from skyline.geodesy.bounds import Bounds, box_around, check_bounds, in_turn, width_deg
 from skyline.terrain.raster_files import bands_of, without_secrets
 
 MAX_TILES = 64
@@ -268,7 +268,7 @@ def _cut_of(
                 "folder, or move it"
             )
         held_deg = tuple(held["bounds_deg"])
-        bounds_deg = _around(held_deg, bounds_deg)
+        bounds_deg = box_around(held_deg, bounds_deg)
         if bounds_deg == held_deg:
             return None
     tag = json.dumps({"source": source, "bounds_deg": bounds_deg})
@@ -278,17 +278,6 @@ def _cut_of(
         return _Cut(url, path, tag, _window(url, file, corner, bounds_deg), file.dtypes[0])
 
     return with_remote(url, look, patience)
-
-
-def _around(one: Bounds, other: Bounds) -> Bounds:
-    """Return the box around two boxes in one tile."""
-
-    def start(box: Bounds) -> float:
-        return float(in_turn(box[0], one[0]))
-
-    west = min(one, other, key=start)[0]
-    east = max(one, other, key=lambda box: start(box) + width_deg(box))[2]
-    return west, min(one[1], other[1]), east, max(one[3], other[3])
 
 
 def _check_usable(url: str, file: Any) -> None:
