@@ -15,12 +15,12 @@ from pathlib import Path
 from typing import Any, cast
 
 from skyline.camera import Projection
-from skyline.errors import InputError, MissingFileError, SkylineError
-from skyline.files import REPORT_PAGE, STANDARD, is_own_page, version_of
+from skyline.errors import InputError, SkylineError
+from skyline.files import REPORT_PAGE, is_own_page, version_of
 from skyline.match.matcher import Matcher, paths_of
 from skyline.match.prior import Narrowing
 from skyline.match.result import MatchResult
-from skyline.photo.image import photos_in
+from skyline.photo.image import opened_image, photos_in
 from skyline.photo.photo import check_fov
 from skyline.photo.read import read_skyline
 from skyline.photo.skyline import Lens, PhotoSkyline
@@ -63,10 +63,6 @@ class Entry:
 
         Raises as `read`.
         """
-        if self.path != STANDARD and not Path(self.path).exists():
-            raise MissingFileError(
-                f"{self.path} does not exist; expected a photo, a mask or a trace"
-            )
         check_fov(self.fov_deg, self.projection)
         if self.fov_sd_share is not None and not 0.0 <= self.fov_sd_share < 1.0:
             raise InputError(
@@ -74,6 +70,9 @@ class Entry:
             )
         if is_table(self.path):
             self.read()
+        else:
+            with opened_image(self.path):
+                pass  # Only its header is read
 
     def read(self) -> PhotoSkyline:
         """Return the skyline; raises as `skyline.photo.read.read_skyline`."""

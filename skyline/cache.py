@@ -26,9 +26,9 @@ import numpy as np
 
 from skyline.arrays import Progress
 from skyline.errors import FetchError, InputError, MissingFileError, SkylineError
-from skyline.fetch.dem_tiles import SOURCES, fetch_dem
+from skyline.fetch.dem_tiles import SOURCES, fetch_dem, source_of
 from skyline.files import lock_file, version_of
-from skyline.geodesy.bounds import Bounds, check_bounds, width_deg
+from skyline.geodesy.bounds import Bounds, check_bounds, contains_box, width_deg
 from skyline.geodesy.map_frame import TRUE_DEG, Frame
 from skyline.store.layout import SCHEMA_VERSION
 from skyline.store.places import PLACE_CODING
@@ -142,17 +142,17 @@ def prepare_area(
     """Return an area from the cache; build it if it is missing.
 
     ``dem`` are elevation files, or folders of them. Without it, tiles are fetched from ``source``,
-    a source of `fetch_dem`: by default ``$SKYLINE_DEM_SOURCE``, else Copernicus. Raises
+    a source of `fetch_dem`: by default the one of `source_of`. Raises
     `InputError` where the DEM does not cover the area, there is only sea, or the cache cannot be
     written, and `FetchError` where a server fails.
     """
     check_bounds(area.built)
     files = dem_names(dem)
-    source = source or os.environ.get("SKYLINE_DEM_SOURCE") or "copernicus"
-    home = _areas() / _origin(files, source)
+    source = source_of(source)
+    home = areas_folder() / _origin(files, source)
     with _explained():
         finished = (one for one in _areas_in(home.glob("*")) if one.is_finished)
-        serving = [one for one in finished if _contains(one.bounds_deg, area.needed)]
+        serving = [one for one in finished if contains_box(one.bounds_deg, area.needed)]
         if serving:
             made = min(serving, key=lambda one: _km2(one.bounds_deg))
             print_note(f"the area is in the cache already: {made.folder}")
@@ -160,7 +160,7 @@ def prepare_area(
         folder = home / _name_of(area.built)
         bounds = _bounds_of(folder.name) or area.built
         made = CachedArea(folder, bounds)
-        with _locked(folder, print_note):
+        with hold_area(folder, print_note):
             if made.is_finished:
                 return made
             _check_room(folder, bounds, with_tiles=not files)
@@ -181,12 +181,12 @@ def prepare_area(
 def cached_areas() -> list[CachedArea]:
     """Return the areas in the cache, by origin and bounds."""
     with _explained():
-        return _areas_in(_areas().glob("*/*"))
+        return _areas_in(areas_folder().glob("*/*"))
 
 
 def cached_files() -> set[Path]:
     """Return the cache's finished files: tiles, parts of stores, and stores."""
-    return {path for kind in ("tif", "h5") for path in _areas().rglob(f"[!.]*.{kind}")}
+    return {path for kind in ("tif", "h5") for path in areas_folder().rglob(f"[!.]*.{kind}")}
 
 
 def clear_cache(print_note: PrintNote = lambda _: None) -> int:
@@ -197,7 +197,7 @@ def clear_cache(print_note: PrintNote = lambda _: None) -> int:
     cleared = 0
     with _explained():
         for area in cached_areas():
-            with _locked(area.folder) as is_alone:
+            with hold_area(area.folder) as is_alone:
                 if not is_alone:
                     print_note(f"{area.folder} is being made by another skyline, and stays")
                     continue
@@ -211,7 +211,8 @@ def clear_cache(print_note: PrintNote = lambda _: None) -> int:
     return cleared
 
 
-def _areas() -> Path:
+def areas_folder() -> Path:
+    """Return the folder of the cache that holds the areas."""
     return cache_folder() / "areas"
 
 
@@ -254,15 +255,6 @@ def _km2(bounds_deg: Bounds) -> float:
     _, south, _, north = bounds_deg
     height, width = math.radians(north - south), math.radians(width_deg(bounds_deg))
     return 6371.0**2 * height * width * math.cos(math.radians((south + north) / 2.0))
-
-
-def _contains(outer: Bounds, inner: Bounds) -> bool:
-    off_deg = (inner[0] - outer[0]) % 360.0
-    return (
-        off_deg + width_deg(inner) <= width_deg(outer)
-        and outer[1] <= inner[1]
-        and inner[3] <= outer[3]
-    )
 
 
 def _name_of(bounds_deg: Bounds) -> str:
@@ -376,7 +368,7 @@ def _explained() -> Iterator[None]:
 
 
 @contextmanager
-def _locked(folder: Path, print_note: PrintNote | None = None) -> Iterator[bool]:
+def hold_area(folder: Path, print_note: PrintNote | None = None) -> Iterator[bool]:
     """Hold an area's lock for the block; yield whether it was obtained.
 
     The folder is made if it is missing. With ``print_note`` the function waits for another process,

@@ -21,6 +21,8 @@ REPORT_PAGE = "index.html"
 """The page of a report's folder."""
 PAGE_MARK = '<meta name="generator" content="Skyline">'
 """The mark of the pages that Skyline writes."""
+STORE_SCHEMA = "skyline-store"
+"""The attribute ``schema`` of a store, by which GDAL knows it from other HDF5 files."""
 STANDARD = "-"
 """The name of standard input and output among paths."""
 GEOJSON = (".geojson", ".json")
@@ -230,22 +232,26 @@ def lies_in_any(output: Path, folders: Iterable[str]) -> bool:
     return not {Path(one).resolve() for one in folders}.isdisjoint([place, *place.parents])
 
 
-def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path]) -> None:
-    """Check the outputs of a command.
+def check_outputs(
+    outputs: Iterable[Path | None], inputs: Iterable[Path], folder: Path | None = None
+) -> None:
+    """Check the outputs of a command: files, and perhaps a folder.
 
     Raises `InputError` for an output that is an input or another output, or that cannot be made.
     """
     read = [path for path in inputs if is_file(path)]
-    named = [path for path in outputs if path is not None]
+    named = [path for path in (*outputs, folder) if path is not None]
     places = [path.resolve() for path in named]
     for path in named:
         if places.count(path.resolve()) > 1:
             raise InputError(f"{path} is the name of two outputs; choose another name for one")
         if path.exists() and any(path.samefile(one) for one in read):
             raise InputError(f"{path} is an input; choose another name for the output")
-        folder = next(one for one in path.resolve().parents if one.exists())
-        if str(path) != STANDARD and not os.access(folder, os.W_OK | os.X_OK):
-            raise InputError(f"{path} cannot be written: there are no rights to write in {folder}")
+        if path.is_dir() and path is not folder:
+            raise InputError(f"{path} is a folder; name a file for the output")
+        parent = next(one for one in path.resolve().parents if one.exists())
+        if str(path) != STANDARD and not os.access(parent, os.W_OK | os.X_OK):
+            raise InputError(f"{path} cannot be written: there are no rights to write in {parent}")
 
 
 def for_gdal(name: str) -> str:

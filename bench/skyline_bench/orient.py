@@ -24,7 +24,7 @@ from skyline.cli.terminal import Terminal
 from skyline.errors import InputError, SkylineError
 from skyline.geodesy.bounds import in_turn
 from skyline.geodesy.map_frame import Rectangle
-from skyline.orientation import DEFAULT_WITHIN_M, RIGHT_DEG, Place, orienters
+from skyline.orientation import DEFAULT_POSITION_SD_M, RIGHT_DEG, Place, orienters
 from skyline.render.depth import DepthRenderer
 from skyline.survey.plans import map_bounds
 from skyline.terrain.heightfield import HeightField
@@ -324,7 +324,7 @@ def _oriented(
     """
     try:
         lon, lat = map(float, lonlat)
-        return orienter_at((lon, lat, elevation_m, DEFAULT_WITHIN_M)).orient(query, fov_deg)
+        return orienter_at((lon, lat, elevation_m, DEFAULT_POSITION_SD_M)).orient(query, fov_deg)
     except SkylineError as error:
         blank = PhotoSkyline(np.full(1, np.nan), np.zeros(1), 1, 1)
         said = str(error)

@@ -40,8 +40,8 @@ from skyline_training.examples import (
 )
 from skyline_training.workers import over_processes
 
-WITHIN_M = (15.0, 50.0, 100.0)
-"""Standard errors of the places, drawn in turn."""
+POSITION_SDS_M = (15.0, 50.0, 100.0)
+"""Standard deviations of the positions, drawn in turn."""
 
 
 def gather_headings(
@@ -90,14 +90,14 @@ def _oriented(
     west, south, east, north = middle_of(model)
     with orienters(model) as orienter_at:
         for number, query in enumerate(queries):
-            within_m, truth = WITHIN_M[number % len(WITHIN_M)], query.truth
-            off = within_m / math.sqrt(2.0) * rng.standard_normal(2)
+            position_sd_m, truth = POSITION_SDS_M[number % len(POSITION_SDS_M)], query.truth
+            off = position_sd_m / math.sqrt(2.0) * rng.standard_normal(2)
             place = truth.easting_m + off[0], truth.northing_m + off[1]
             if is_strange:
                 place = rng.uniform(west, east), rng.uniform(south, north)
             lon, lat = map(float, model.frame.to_lonlat(*place))
             try:
-                found = _figures_of(orienter_at((lon, lat, None, within_m)), query)
+                found = _figures_of(orienter_at((lon, lat, None, position_sd_m)), query)
             except SkylineError:  # The place is on a hole.
                 continue
             if found is not None:

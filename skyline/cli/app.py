@@ -130,7 +130,8 @@ def run_app(app: typer.Typer, terminal: Terminal | None = None) -> None:
     except _UsageError as error:
         if not error.format_message():
             sys.exit(2)  # A group of commands without a command has printed its help.
-        _fail(terminal, error.format_message(), 2)
+        where = f"; see `{error.ctx.command_path} --help`" if error.ctx else ""
+        _fail(terminal, error.format_message().rstrip(".") + where, 2)
     except (KeyboardInterrupt, typer.Abort):
         _fail(terminal, terminal.stopped(), _INTERRUPTED)
     except MemoryError:

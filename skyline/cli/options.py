@@ -13,7 +13,6 @@ from typer import Argument, Option
 from skyline.cli.terminal import Terminal
 from skyline.errors import InputError, numbers_of, swapped_in_words
 from skyline.geodesy.bounds import are_degrees
-from skyline.store.read import is_store
 
 if TYPE_CHECKING:
     from skyline.geodesy.bounds import Bounds
@@ -58,7 +57,7 @@ Dem = Annotated[
 ]
 Dems = Annotated[
     list[str],
-    Argument(metavar="DEM...", help="Elevation files of one grid, or folders or zips of files."),
+    Argument(metavar="DEM", help="Elevation files of one grid, or folders or zips of files."),
 ]
 Workers = Annotated[
     str | None,
@@ -133,14 +132,11 @@ SummitWithin = Annotated[
 def read_terrain(terminal: Terminal, dem: Sequence[str], crs: str | None) -> "HeightField":
     """Read the elevation model of a command.
 
-    If that takes long, a note names the step. Raises `InputError` for a store in its place.
+    If that takes long, a note names the step.
     """
     from skyline.terrain.dem import read_dem  # noqa: PLC0415  (slow to load)
     from skyline.terrain.provenance import DemOptions  # noqa: PLC0415  (slow to load)
 
-    for name in dem:
-        if Path(name).suffix == ".h5" and is_store(name):
-            raise InputError(f"{name} is a store; name the elevation model from which it was built")
     with terminal.slow("reading the elevation model"):
         return read_dem(dem, DemOptions(crs=crs))
 

@@ -15,7 +15,7 @@ def serve(
     photo: Annotated[
         list[Path] | None,
         Argument(
-            metavar="[PHOTO...]",
+            metavar="PHOTO",
             help="Photos that are open on the page at first. More stores of the same DEM may be "
             "named before them; all stores are searched as one.",
         ),

@@ -63,7 +63,7 @@ def repair(context: typer.Context, store: StoreFile, output: NewStore) -> None:
 @store.command()
 def merge(
     context: typer.Context,
-    stores: Annotated[list[Path], Argument(metavar="STORE.h5...", help="Stores of one DEM.")],
+    stores: Annotated[list[Path], Argument(metavar="STORE.h5", help="Stores of one DEM.")],
     output: NewStore,
 ) -> None:
     """Join stores of one DEM into one.

@@ -354,7 +354,7 @@ class Refinement:
             terrain_share=shown / trust.sum(),
             skyline_m=1.0 / np.maximum(nearness, 1e-6),
             effective_columns=found.effective_columns,
-            height_sd_m=solver.heights_m[particles.fit.height],
+            height_sd_m=solver.height_sds_m[particles.fit.height_index],
             beyond_share=np.asarray((solver.beyond_rad(linear) > 0.0) @ trust / trust.sum()),
             margin=poses.rival_margin(RIGHT_WITHIN_M, SAME_VIEW_DEG),
             far_margin=poses.rival_margin(ROUGHLY_WITHIN_M, SAME_VIEW_DEG),

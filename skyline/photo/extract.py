@@ -141,7 +141,7 @@ class Correction:
             row_px = self._extraction.row_px.copy()
             trust = self._extraction.trust.copy()
         else:
-            check_of_image(given, (content.height, content.width))
+            check_of_image(given, (content.height_px, content.width_px))
             row_px = given.row_px[content.left : content.right] - content.top
             trust = given.trust[content.left : content.right].copy()
         inside = [stroke.in_crop(content.left, content.top) for stroke in strokes]

@@ -36,12 +36,8 @@ def read_skyline(
 
     Parameters
     ----------
-    path : str, Path, PIL image, or (H, W) or (H, W, 3) uint8
-    fov_deg : float, optional
-        Horizontal field of view, degrees: 1 to 179, or to 360 for a panorama. By default it is read
-        from the photo's EXIF or XMP.
-    projection : Projection, optional
-        Perspective by default, unless the photo's EXIF or XMP note a panorama.
+    path, fov_deg, projection
+        As in `read_photo`; a file may be a trace, too.
     sky_model : onnxruntime.InferenceSession or path, optional
         Segments the sky in photos; see `skyline.photo.user_sky_model`.
 

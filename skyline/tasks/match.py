@@ -28,6 +28,7 @@ from skyline.match.matcher import FULL, Matcher
 from skyline.match.method import MATCHERS
 from skyline.match.result import JointResult, MatchResult
 from skyline.peaks import Peaks, read_peaks
+from skyline.photo.image import EXPECTED
 from skyline.photo.skyline import PhotoSkyline
 from skyline.plugins import names_of
 from skyline.report.exports import EXPORTS, export_matches
@@ -136,7 +137,7 @@ class MatchTask:
         """
         named = [Path(one.path) for one in self.entries]
         inputs = [*self.stores, *self.inputs, *named, *filter(None, [self.peaks])]
-        check_outputs([*self.exports, self.results, self.report], inputs)
+        check_outputs([*self.exports, self.results], inputs, self.report)
         if self.report is not None:
             folders = {one.parent.resolve() for one in named if one != Path(STANDARD)}
             if self.report.resolve() in folders:
@@ -426,7 +427,7 @@ def _written(path: str | Path) -> tuple[object, ...]:
     Of standard input a digest is returned. The path is left out, since files may move.
     """
     if str(path) == STANDARD:
-        return (_digest(read_bytes(path, "expected a photo, a mask or a trace")),)
+        return (_digest(read_bytes(path, EXPECTED)),)
     return (version_of(path) or ())[:2]
 
 

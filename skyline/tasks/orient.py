@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from skyline.batch import Entry
 from skyline.errors import InputError, SkylineError
-from skyline.orientation import DEFAULT_WITHIN_M, Orientation, Place, noted_place, orienters
+from skyline.orientation import DEFAULT_POSITION_SD_M, Orientation, Place, noted_place, orienters
 from skyline.photo.skyline import PhotoSkyline
 from skyline.terrain.heightfield import HeightField
 
@@ -18,7 +18,7 @@ class CameraAt:
     """By default each photo's own GPS position."""
     elevation_m: float | None = None
     """Elevation of the eye above the DEM's datum; only with a position."""
-    within_m: float | None = None
+    position_sd_m: float | None = None
     """Standard deviation of the position; by default what a photo notes, or 50 m."""
 
     def __post_init__(self) -> None:
@@ -35,8 +35,8 @@ class CameraAt:
         else:
             lon, lat = self.lonlat_deg
             elevation_m = self.elevation_m
-            usual_m = DEFAULT_WITHIN_M
-        return lon, lat, elevation_m, usual_m if self.within_m is None else self.within_m
+            usual_m = DEFAULT_POSITION_SD_M
+        return lon, lat, elevation_m, usual_m if self.position_sd_m is None else self.position_sd_m
 
 
 def orient_photos(

@@ -27,7 +27,7 @@ from rasterio.windows import Window
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array
 from skyline.errors import InputError, library
-from skyline.files import archive_of, is_file, on_disk
+from skyline.files import STORE_SCHEMA, archive_of, is_file, on_disk
 from skyline.geodesy.crs import without_vertical
 from skyline.terrain.datums import SAME_UNIT, Vertical, map_conventions, metres_per, vertical_of
 from skyline.terrain.grid import Grid, row_strips
@@ -189,6 +189,8 @@ def _height_band(source: str, dataset: Any) -> tuple[int, int | None]:
 
     Raises `InputError` unless the dataset has one band of samples on a grid.
     """
+    if dataset.tags().get("schema") == STORE_SCHEMA:
+        raise InputError(f"{source} is a store; name the elevation model from which it was built")
     if dataset.count == 0 and dataset.subdatasets:
         raise InputError(
             f"{source} holds several rasters; name one of them: {', '.join(dataset.subdatasets)}"

@@ -6,7 +6,6 @@ own numbers.
 
 from collections.abc import Mapping
 from dataclasses import replace
-from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -113,7 +112,7 @@ def outcome_json(result: MatchResult, engine: Engine) -> dict[str, Any]:
 def _candidate_json(candidate: Pose, engine: Engine) -> dict[str, Any]:
     """Return a candidate's pose, and what the page shows beside it."""
     return {
-        "pose": {name: _known(value) for name, value in candidate.to_dict().items()},
+        "pose": candidate.to_dict(),
         "rank": candidate.rank,
         "eye_height_m": engine.eye_height_m(candidate),
         "ellipse": _ellipse_json(candidate, engine.matcher.frame),
@@ -132,8 +131,3 @@ def _ellipse_json(candidate: Pose, frame: Frame) -> list[list[float]] | None:
     outline = frame.to_lonlat(*ellipse.outline_m.T)
     points: list[list[float]] = np.stack(outline, axis=1).tolist()
     return points
-
-
-def _known(value: Any) -> Any:
-    """Return a value, or None for a number that JSON cannot hold."""
-    return None if isinstance(value, float) and not isfinite(value) else value

@@ -133,7 +133,7 @@ def trial_of(
         math.nan if strange else turn_deg,
         best.confidence,
         best.radius_m,
-        result.within_m or 200.0 if result.answer is not None else None,
+        result.within_m,
         named=named,
     )
 
