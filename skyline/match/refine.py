@@ -27,6 +27,7 @@ from skyline.match.screen import ReportProgress, silent
 from skyline.match.solver import (
     EYE_HEIGHT,
     FINE,
+    FOLLOW,
     HEADING,
     LOG_SCALE,
     ROLL,
@@ -121,7 +122,7 @@ QUICK = Effort(
 )  # fmt: skip
 """Enough for most skylines, which fit one place far better than any other."""
 WHOLE = Effort(
-    shortlist=1600, particles=128, likeliest=12, rounds=8, keep_share=0.9, keep_least=48,
+    shortlist=1600, particles=128, likeliest=12, rounds=8, keep_share=0.7, keep_least=24,
     restarts=6, weighed=48, finalists=12, final_rounds=5,
 )  # fmt: skip
 """For all other skylines."""
@@ -175,9 +176,9 @@ class Refinement:
         eye = eye or EyeHeightPrior(DEFAULT_EYE_HEIGHT_M, scene.height_sd_m)
         if prior.narrowing.eye_height_m is not None:
             eye = EyeHeightPrior(prior.narrowing.eye_height_m, 0.0)
-        self.scout, self.rough, self.fine = (
+        self.scout, self.rough, self.follow, self.fine = (
             Solver(rays, mode, eye, scene.height_sd_m, prior.noted, scene.edge)
-            for mode in (SCOUT, ROUGH, FINE)
+            for mode in (SCOUT, ROUGH, FOLLOW, FINE)
         )
         self._rendered = 0
         self._expected = effort.rounds + MOVES.restart_rounds + effort.final_rounds
@@ -202,7 +203,7 @@ class Refinement:
             if effort.likeliest:
                 likeliest = self.started(self.rough, poses[: effort.likeliest])
                 for _ in range(MOVES.likeliest_rounds):
-                    likeliest = self.moved(self.rough, likeliest)
+                    likeliest = self.moved(self.follow, likeliest)
             seen = self.started(self.scout, poses).best(effort.particles)
             poses = self.poses(seen)
         particles = self.started(self.rough, poses)
@@ -210,7 +211,7 @@ class Refinement:
             particles = Particles.concatenate([particles, likeliest])
         for _ in range(effort.rounds - 1):
             kept = max(effort.keep_least, int(np.ceil(effort.keep_share * len(particles))))
-            particles = self.moved(self.rough, self.survivors(particles, kept))
+            particles = self.moved(self.follow, self.survivors(particles, kept))
         particles = Particles.concatenate([particles, self._restarted(particles)])
         particles = self.reweighted(self.distinct(particles, effort.weighed))
         particles = self.distinct(particles, effort.finalists)
@@ -270,7 +271,7 @@ class Refinement:
         best = standing.suppress_non_maxima(self.effort.restarts, MOVES.separation_m, SAME_VIEW_DEG)
         around = self.around(particles[best])
         for _ in range(MOVES.restart_rounds - 1):
-            around = self.moved(self.rough, around.best(len(around)))
+            around = self.moved(self.follow, around.best(len(around)))
         return around
 
     def arrived(self, solver: Solver, place_m: Complex128Array, fit: Fit) -> Particles:

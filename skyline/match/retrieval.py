@@ -52,11 +52,11 @@ class RetrievalEffort:
     """Multiple of the wanted number of places that is screened again after the coarse screen."""
     first: int = 2048
     """Places of the first short list."""
-    start_step: float = 0.065
+    start_step: float = 0.09
     """Step of `Rays.log_scale` between the fields of view that fits start from."""
     likely_sd: float = 2.5
     """Fields of view more than this many standard deviations from the expected one are not
-    screened, though fits may start there."""
+    screened, though fits may reach them."""
     unlikely_penalty: float = 0.25
     """Penalty of a field of view in screening, over the square of its standard deviations."""
     rough_share: float = 0.05
@@ -67,8 +67,10 @@ class RetrievalEffort:
     turns: int = 3
     """Best turns of a place that screening passes on. Screening finds the right place more often
     than the right turn, since it knows neither the pitch nor where the eye stands."""
-    starts: float = 1.5
-    """Mean number of rough fits for a place."""
+    starts_first: float = 1.5
+    """Mean number of rough fits for a place of the first short list."""
+    starts_later: float = 0.5
+    """Mean number of rough fits for any other place."""
     good_share: float = 1 / 3
     """Share of the rough fits from which poses are fitted well: the best ones."""
     good_most: int = 8192
@@ -135,7 +137,9 @@ class Retriever:
         counts = (min(_EFFORT.first, self._rough), self._rough)
         for alike in self._screened([self._screens(rays, prior)], [prior], counts, report):
             places = self.places.take(alike.row)
-            start = self._start(rays, prior, places, alike.score, _EFFORT.turns)
+            share = _EFFORT.starts_later if best else _EFFORT.starts_first
+            starts = math.ceil(share * len(places))
+            start = self._start(rays, prior, places, alike.score, starts)
             fitted = self._fitted([rays], [start], report)[0]
             best.append(fitted[prior.allows(fitted)])
             poses = Poses.concatenate(best)
@@ -188,7 +192,7 @@ class Retriever:
         row, heading_rad, log_scale = np.meshgrid(
             np.arange(len(places)),
             np.radians(np.arange(0.0, 360.0, _EFFORT.heading_step_deg)),
-            _start_log_scales(rays),
+            _even_log_scales(rays, *rays.log_scale_bounds, _EFFORT.start_step),
             indexing="ij",
         )
         start = _Start(
@@ -218,7 +222,7 @@ class Retriever:
         alike = next(self._screened(screens, priors, [self._rough], report))
         places = self.places.take(alike.row)
         starts = [
-            self._start(rays, prior, places, fine.scores(places.phase), 1)
+            self._start(rays, prior, places, fine.scores(places.phase), len(places), turns=1)
             for (rays, prior), (_, fine) in zip(photos, screens, strict=True)
         ]
         found = self._fitted([rays for rays, _ in photos], starts, report)
@@ -239,33 +243,34 @@ class Retriever:
         )
 
     def _screens(self, rays: Rays, prior: Prior) -> tuple[Screen, Screen]:
-        """Return the coarse and the fine screen that find places: of few, likely fields of view."""
-        likely = _EFFORT.likely_sd * rays.log_scale_sd
-        low, high = np.clip(rays.log_scale_bounds, -likely, likely)
-
-        def screen(step: float, *, coarse: bool) -> Screen:
-            log_scales = _even_log_scales(rays, float(low), float(high), step)
-            return self._screen(rays, prior, log_scales, coarse=coarse)
-
-        return screen(_EFFORT.coarse_step, coarse=True), screen(_EFFORT.screened_step, coarse=False)
+        """Return the coarse and the fine screen that find places."""
+        return (
+            self._screen(rays, prior, _likely_log_scales(rays, _EFFORT.coarse_step), coarse=True),
+            self._screen(rays, prior, _likely_log_scales(rays, _EFFORT.screened_step)),
+        )
 
     def _screen(
         self, rays: Rays, prior: Prior, log_scales: Float64Array, *, coarse: bool = False
     ) -> Screen:
-        """Return a screen of fields of view, unlikely ones with a penalty."""
+        """Return a screen of fields of view, with a penalty for unlikely ones."""
         penalty = _EFFORT.unlikely_penalty * np.square(log_scales / rays.log_scale_sd)
         fovs_deg = rays.searched_fov_deg(log_scales)
         return Screen(rays, fovs_deg, self._sample, prior.open_turns, penalty, coarse=coarse)
 
     def _start(
-        self, rays: Rays, prior: Prior, places: Places, score: Float32Array, turns: int
+        self,
+        rays: Rays,
+        prior: Prior,
+        places: Places,
+        score: Float32Array,
+        count: int,
+        turns: int = _EFFORT.turns,
     ) -> "_Start":
-        """Return the starts of fits.
+        """Return the ``count`` best starts of fits, of so many turns of each place.
 
-        They are the best of so many turns of each place. Every field of view is tried. Places are
-        handled in small groups, because each is compared at every turn.
+        Places are handled in small groups, because each is compared at every turn.
         """
-        log_scales = _start_log_scales(rays)
+        log_scales = _likely_log_scales(rays, _EFFORT.start_step)
         screen = self._screen(rays, prior, log_scales)
         groups = range(0, len(places), _PLACES_AT_ONCE)
         with ThreadPoolExecutor(os.cpu_count()) as pool:
@@ -275,7 +280,6 @@ class Retriever:
             heading_deg, fov, peak = (
                 np.concatenate(part).ravel() for part in zip(*found, strict=True)
             )
-        count = math.ceil(_EFFORT.starts * len(places))
         best = np.sort(np.argsort(-peak, kind="stable")[:count])
         row = best // turns
         return _Start(
@@ -371,6 +375,8 @@ def _even_log_scales(rays: Rays, low: float, high: float, step: float) -> Float6
     return np.asarray(low + (np.arange(parts) + 0.5) * ((high - low) / parts))
 
 
-def _start_log_scales(rays: Rays) -> Float64Array:
-    """Return the logarithms of the scales that fits start from."""
-    return _even_log_scales(rays, *rays.log_scale_bounds, _EFFORT.start_step)
+def _likely_log_scales(rays: Rays, step: float) -> Float64Array:
+    """Return the logarithms of the scales of likely fields of view, a step apart."""
+    likely = _EFFORT.likely_sd * rays.log_scale_sd
+    low, high = np.clip(rays.log_scale_bounds, -likely, likely)
+    return _even_log_scales(rays, float(low), float(high), step)

@@ -118,10 +118,10 @@ class FullMatcher(SearchMethod):
     ) -> tuple[Poses, Poses | None]:
         """Return the poses retrieved for a photo, and the refined ones.
 
-        The refined ones are None without a scene. The most promising places come first, with a quick
-        refinement, which is enough where one place fits far better than any other, as with most
-        skylines. Otherwise all places that are worth a fit are tried, and at last with more effort.
-        Raises as `search`.
+        The refined ones are None without a scene. The most promising places come first, with a
+        quick refinement. That is enough where one place fits far better than any other, as with
+        most skylines. Otherwise all places that are worth a fit are tried, and at last with more
+        effort. Raises as `search`.
         """
         lists = self.retriever.shortlists(rays, self._shortlist, prior, report)
         scene = self._scene

@@ -60,7 +60,7 @@ class JointRefinement:
     def __init__(self, refinements: Sequence[Refinement]) -> None:
         self._solos = refinements
         self._effort = refinements[0].effort
-        self._solvers = [solo.rough for solo in refinements]
+        self._solvers = [solo.follow for solo in refinements]
         self._least = np.full(len(refinements), np.inf)
 
     def run(
