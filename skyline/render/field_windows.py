@@ -19,11 +19,14 @@ from skyline.errors import ContextError
 from skyline.render.context import GlContext
 from skyline.skylines import HEADINGS
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.slab_tree import EMPTY, MAX_LEVELS, level_count, slab_levels
+from skyline.terrain.slab_tree import MAX_LEVELS, level_count, slab_levels
 from skyline.terrain.triangles import Triangles
 
 SLOPE_BINS = 16
 """Bins of rays' slopes, from the steepest left to the steepest right; each has its own bounds."""
+
+EMPTY = np.float32(-3e38)
+"""The height of a hole, and of what lies off the map."""
 
 _COLUMN_APRON = 4
 """Empty columns beside the samples; COLUMN_APRON of the shader."""
@@ -151,25 +154,26 @@ class WindowTextures:
 
     def _trees_of_heights(self, heights_m: Float32Array) -> Trees:
         """Build the bounds of heights (rows, cols); headings of one axis share a tree."""
+        codes = self._coded(heights_m)
 
-        def built(seen: Float32Array, steepest: float) -> _Tree:
+        def built(seen: NDArray[np.uint16], steepest: float) -> _Tree:
             slopes = np.linspace(-steepest, steepest, SLOPE_BINS + 1)
             tree = slab_levels(np.ascontiguousarray(seen), slopes, self._levels)
-            return [(self._coded(maxima), first_block) for maxima, first_block in tree]
+            return [(maxima.view("<u4"), first_block) for maxima, first_block in tree]
 
         with ThreadPoolExecutor(_TREES_AT_ONCE) as pool:
-            axes = list(pool.map(built, (heights_m, heights_m.T), self.slope_max))
+            axes = list(pool.map(built, (codes, codes.T), self.slope_max))
         return _stacked(self._ctx, axes, "u4")
 
-    def _coded(self, maxima: Float32Array) -> NDArray[np.uint32]:
-        """Return (..., 4) words of two codes, rounded up, of (..., 8) heights."""
-        codes = np.maximum(maxima, np.float32(self.lowest_m))
+    def _coded(self, heights_m: Float32Array) -> NDArray[np.uint16]:
+        """Return the codes (rows, cols) of heights, rounded up."""
+        codes = np.maximum(heights_m, np.float32(self.lowest_m))
         codes -= np.float32(self.lowest_m)
         codes /= np.float32(self.code_step_m)
         # A fiftieth of a step is more than float32 rounds off.
         codes += np.float32(0.02)
-        words: NDArray[np.uint32] = np.ceil(codes, out=codes).astype("<u2").view("<u4")
-        return words
+        whole: NDArray[np.uint16] = np.ceil(codes, out=codes).astype("<u2")
+        return whole
 
     def _trees_of_rims(self, triangles: Triangles) -> Trees:
         """Mark where rays may meet the surface again.
@@ -209,7 +213,8 @@ def _stacked(ctx: moderngl.Context, trees: Sequence[_Tree], dtype: str) -> Trees
         sum(len(texels) * texels.shape[1] for tree in stack for texels, _ in tree)
         for stack in stacks
     )
-    atlas = np.zeros((height, width * len(stacks), levels[0].shape[3]), levels[0].dtype)
+    columns = _pitch(width * len(stacks))
+    atlas = np.zeros((height, columns, levels[0].shape[3]), levels[0].dtype)
     places = []
     for left, stack in zip(itertools.count(0, width), stacks):
         top = 0
@@ -254,26 +259,36 @@ def _columns(ctx: moderngl.Context, heights: Float32Array) -> moderngl.Texture:
     """
     lines, columns = heights.shape
     leaves = max(-(-(lines - 1) // 2), 1)
-    padded = np.full((2 * leaves + 2, columns + 2 * _COLUMN_APRON), EMPTY, dtype=np.float32)
-    padded[:lines, _COLUMN_APRON:-_COLUMN_APRON] = heights
-    texels = np.stack([padded[line : line + 2 * leaves : 2] for line in (0, 1, 2, 2)], axis=-1)
+    inner = slice(_COLUMN_APRON, _COLUMN_APRON + columns)
+    texels = np.full((leaves, _pitch(columns + 2 * _COLUMN_APRON), 4), EMPTY, dtype=np.float32)
+    for component, line in enumerate((0, 1, 2, 2)):
+        seen = heights[line : line + 2 * leaves : 2]
+        texels[: len(seen), inner, component] = seen
     return _upload(ctx, texels, "f4")
+
+
+def _pitch(columns: int) -> int:
+    """Return the width of a texture for some columns: 16 texels, an odd number of times.
+
+    It is no power of two, at which neighbouring rows would share lines of the cache.
+    """
+    return (-(-columns // 16) | 1) * 16
 
 
 def _upload(ctx: moderngl.Context, values: NDArray[Any], dtype: str) -> moderngl.Texture:
     """Upload texels (rows, columns, components).
 
-    Columns are padded to a pitch that is no power of two. Raises `ContextError` where OpenGL
-    refuses the texture, which would read as zeros.
+    Columns are filled up to a `_pitch`. Raises `ContextError` where OpenGL refuses the texture,
+    which would read as zeros.
     """
-    # The width is an odd multiple of 16 texels.
-    columns = (-(-values.shape[1] // 16) | 1) * 16
-    padded = np.zeros((values.shape[0], columns, values.shape[2]), values.dtype)
-    padded[:, : values.shape[1]] = values
-    texture = ctx.texture((columns, len(padded)), values.shape[2], padded, dtype=dtype)
+    lines, columns, components = values.shape
+    if missing := _pitch(columns) - columns:
+        values = np.pad(values, ((0, 0), (0, missing), (0, 0)))
+        columns += missing
+    texture = ctx.texture((columns, lines), components, values, dtype=dtype)
     if (error := ctx.error) != "GL_NO_ERROR":
         raise ContextError(
-            f"OpenGL refuses a texture of {columns} x {len(padded)} texels ({error}); free memory "
+            f"OpenGL refuses a texture of {columns} x {lines} texels ({error}); free memory "
             "of the GPU, or give fewer tiles or a coarser DEM"
         )
     texture.filter = (moderngl.NEAREST, moderngl.NEAREST)

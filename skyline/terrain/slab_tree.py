@@ -5,6 +5,9 @@ slabs of 2, 16, 128, 1024 strips. A ray drifts sideways by its slope, in cells p
 meets only part of a slab. The tree groups rays by bins of slope, and by the block of columns in
 which they enter a band of eight slabs. For each group and each of the eight slabs it holds the
 greatest height near any ray of the group.
+
+Heights are given as codes, whole numbers that grow with them: the greatest code is the code of the
+greatest height, and codes of 16 bits are compared four times as fast as heights.
 """
 
 import itertools
@@ -16,13 +19,12 @@ from numpy.typing import NDArray
 
 from skyline.arrays import Float64Array
 
-Samples = NDArray[Any]
-"""float32 heights or uint8 marks."""
+Codes = NDArray[Any]
+"""uint16 codes of heights, or uint8 marks; 0 where there is nothing."""
 
-SlabLevel = tuple[Samples, int]
-"""One level of the tree: the greatest values (bins, bands, blocks, SLABS), and the number of blocks
-before the block that begins at column 0. Where a ray meets no sample, heights are `EMPTY` and marks
-are 0."""
+SlabLevel = tuple[Codes, int]
+"""One level of the tree: the greatest codes (bins, bands, blocks, SLABS), 0 where a ray meets no
+sample, and the number of blocks before the block that begins at column 0."""
 
 SLABS = 8
 """Slabs in a band: the children of a node of the tree."""
@@ -32,9 +34,6 @@ LEAF_STRIPS = 2
 
 MAX_LEVELS = 4
 """The most levels that the shader reads, which cover 8192 strips."""
-
-EMPTY = np.float32(-3e38)
-"""The height of a hole, and the bound where there is no sample at all."""
 
 _SLACK_SLOPE = 1e-5
 """Margin of a bin's slopes, columns per line: more than a ray's rounding in float32."""
@@ -50,16 +49,15 @@ def level_count(strips: int) -> int:
     return levels
 
 
-def slab_levels(values: Samples, slopes: Float64Array, levels: int) -> Iterator[SlabLevel]:
+def slab_levels(codes: Codes, slopes: Float64Array, levels: int) -> Iterator[SlabLevel]:
     """Yield the levels of the tree, the finest first.
 
-    Values are (lines, columns). Rays run along the first axis, and strips lie between lines. Values
-    are heights, `EMPTY` for holes, or marks, 0 for none. ``slopes`` (bins + 1,) are increasing
-    bounds of the bins of rays' slopes, columns per line. ``levels`` is the `level_count` of the
-    longer axis.
+    Codes are (lines, columns). Rays run along the first axis, and strips lie between lines.
+    ``slopes`` (bins + 1,) are increasing bounds of the bins of rays' slopes, columns per line.
+    ``levels`` is the `level_count` of the longer axis.
     """
-    slabs = max(-(-(len(values) - 1) // LEAF_STRIPS), 1)
-    lines = _padded(values, 0, slabs * LEAF_STRIPS + 1)
+    slabs = max(-(-(len(codes) - 1) // LEAF_STRIPS), 1)
+    lines = _padded(codes, 0, slabs * LEAF_STRIPS + 1)
     maxima = lines[LEAF_STRIPS::LEAF_STRIPS].copy()
     for line in range(LEAF_STRIPS):
         np.maximum(maxima, lines[line : slabs * LEAF_STRIPS : LEAF_STRIPS], out=maxima)
@@ -70,17 +68,17 @@ def slab_levels(values: Samples, slopes: Float64Array, levels: int) -> Iterator[
             maxima = _coarsened(maxima, step, slab)
             step = slab
             slab *= SLABS
-        yield _bin_level(maxima, step, slab, values.shape[1], slopes)
+        yield _bin_level(maxima, step, slab, codes.shape[1], slopes)
 
 
-def _coarsened(maxima: Samples, step: int, wanted: int) -> Samples:
+def _coarsened(maxima: Codes, step: int, wanted: int) -> Codes:
     """Return the maxima of larger slabs and wider columns.
 
     `SLABS` slabs are joined into one. Columns of ``maxima`` are single samples (step 0) or spans of
     ``step`` cells, a power of two; columns of the result are spans of ``wanted`` cells.
     """
     slabs = -(-len(maxima) // SLABS)
-    joined: Samples = _padded(maxima, 0, slabs * SLABS).reshape(slabs, SLABS, -1).max(axis=1)
+    joined: Codes = _padded(maxima, 0, slabs * SLABS).reshape(slabs, SLABS, -1).max(axis=1)
     if step == 0:
         beside = _padded(joined, 1, joined.shape[1] + 1)
         joined = np.maximum(beside[:, :-1], beside[:, 1:])
@@ -93,16 +91,20 @@ def _coarsened(maxima: Samples, step: int, wanted: int) -> Samples:
 
 
 def _bin_level(
-    source: Samples, step: int, slab: int, columns: int, slopes: Float64Array
+    source: Codes, step: int, slab: int, columns: int, slopes: Float64Array
 ) -> SlabLevel:
     """Return the level of slabs from their maxima, a result of `_coarsened`."""
     bands = -(-len(source) // SLABS)
-    values = _padded(source, 0, bands * SLABS).reshape(bands, SLABS, -1)
     first_block = int(np.ceil(SLABS * np.abs(slopes).max())) + 1
     blocks = -(-columns // slab) + 2 * first_block
-    maxima = np.empty((len(slopes) - 1, bands, blocks, SLABS), dtype=values.dtype)
     width = max(step, 1)
     ratio = slab // width
+    by_child = _padded(source, 0, bands * SLABS).reshape(bands, SLABS, -1).swapaxes(0, 1)
+    # No span begins farther before column 0, or ends farther past the last block.
+    padded = np.zeros((SLABS, bands, (blocks + 2 * first_block + 2) * ratio), source.dtype)
+    padded[..., 2 * first_block * ratio :][..., : by_child.shape[2]] = by_child
+    spans = _Spans(padded, ratio, blocks)
+    maxima = np.empty((len(slopes) - 1, bands, blocks, SLABS), dtype=source.dtype)
     for index, (lower, upper) in enumerate(itertools.pairwise(slopes)):
         least = lower - _SLACK_SLOPE
         most = upper + _SLACK_SLOPE
@@ -113,36 +115,55 @@ def _bin_level(
             # The columns that these touch: a single sample lies at an end of cells.
             first = int(np.floor(low / width))
             past = int(np.ceil(high / width)) + (step == 0)
-            maxima[index, :, :, child] = _sliding_max(
-                values[:, child], first - first_block * ratio, ratio, blocks, past - first
-            )
+            start = first + first_block * ratio
+            spans.write_maxima(child, start, past - first, maxima[index, :, :, child])
     return maxima, first_block
 
 
-def _sliding_max(values: Samples, start: int, stride: int, count: int, span: int) -> Samples:
-    """Return maxima (rows, count) of spans at start, start + stride, ..."""
-    need = (count - 1) * stride + span
-    held = np.full((len(values), need), _nothing(values), dtype=values.dtype)
-    first = max(start, 0)
-    stop = min(start + need, values.shape[1])
-    if stop > first:
-        held[:, first - start : stop - start] = values[:, first:stop]
-    stop = (count - 1) * stride + 1
-    greatest = held[:, :stop:stride].copy()
-    for shift in range(1, span):
-        np.maximum(greatest, held[:, shift : shift + stop : stride], out=greatest)
-    return greatest
+class _Spans:
+    """The greatest codes of spans of columns, which begin ``stride`` columns apart.
+
+    A span is covered by two spans of the greatest power of two that fits into it.
+    """
+
+    def __init__(self, codes: Codes, stride: int, count: int) -> None:
+        """Take codes (..., columns), a multiple of ``stride``, and the number of spans wanted."""
+        self._codes = codes
+        self._stride = stride
+        self._count = count
+        self._tables: dict[tuple[int, int], Codes] = {}
+
+    def write_maxima(self, line: int, start: int, span: int, out: Codes) -> None:
+        """Write the maxima (..., count) of a line's spans at start, start + stride, ..."""
+        power = span.bit_length() - 1
+        first, last = (self._maxima(power, line, at) for at in (start, start + span - (1 << power)))
+        np.maximum(first, last, out=out)
+
+    def _maxima(self, power: int, line: int, start: int) -> Codes:
+        """Return the maxima (..., count) of spans of 2**power columns."""
+        slot, phase = divmod(start, self._stride)
+        return self._table(power, phase)[line, ..., slot : slot + self._count]
+
+    def _table(self, power: int, phase: int) -> Codes:
+        """Return the maxima of 2**power columns from each column of a phase, contiguous."""
+        table = self._tables.get((power, phase))
+        if table is None:
+            if power == 0:
+                table = np.ascontiguousarray(self._codes[..., phase :: self._stride])
+            else:
+                ahead, beside = divmod(phase + (1 << (power - 1)), self._stride)
+                table = self._table(power - 1, phase).copy()
+                half = table.shape[-1] - ahead
+                other = self._table(power - 1, beside)[..., ahead:]
+                np.maximum(table[..., :half], other, out=table[..., :half])
+            self._tables[power, phase] = table
+        return table
 
 
-def _padded(values: Samples, axis: int, length: int) -> Samples:
-    """Return values with nothing appended along an axis, up to a length."""
-    if length <= values.shape[axis]:
-        return values
+def _padded(codes: Codes, axis: int, length: int) -> Codes:
+    """Return codes with zeros appended along an axis, up to a length."""
+    if length <= codes.shape[axis]:
+        return codes
     widths = np.zeros((2, 2), dtype=np.int64)
-    widths[axis, 1] = length - values.shape[axis]
-    return np.pad(values, widths, constant_values=_nothing(values))
-
-
-def _nothing(values: Samples) -> np.float32 | int:
-    """Return the value that stands for no sample."""
-    return EMPTY if values.dtype == np.float32 else 0
+    widths[axis, 1] = length - codes.shape[axis]
+    return np.pad(codes, widths)
