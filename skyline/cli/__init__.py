@@ -41,7 +41,8 @@ COMMANDS = {
         "explain": "Show which terrain a skyline depends on, which is left out, and the "
         "resulting error.",
         "dem": "Fetch the elevation of an area: `dem fetch`.",
-        "cache": "List what `locate` keeps: elevation tiles and stores of areas.",
+        "cache": "List what is kept: elevation tiles and stores of areas, and elevation models "
+        "once read.",
     },
 }
 """Commands by subject, each with the first line of its own help; each has a module of its name."""

@@ -247,7 +247,7 @@ def _with_apron(field: HeightField, window: Window) -> Float32Array:
     left = window.col - 1
     row = max(top, 0)
     col = max(left, 0)
-    part = field.heights_m[row : top + window.rows + 2, col : left + window.cols + 2]
+    part = field.part(slice(row, top + window.rows + 2), slice(col, left + window.cols + 2))
     heights[row - top :, col - left :][: part.shape[0], : part.shape[1]] = part
     return heights
 

@@ -7,6 +7,7 @@ from skyline.errors import InputError
 from skyline.terrain.dem_files import Paths, dem_names
 from skyline.terrain.field_files import SUFFIX, read_field
 from skyline.terrain.heightfield import HeightField, field_of
+from skyline.terrain.kept_models import keep_model, kept_model, noted_warnings, place_of
 from skyline.terrain.metric_dem import metric_dem
 from skyline.terrain.mosaic import Mosaic, read_mosaic
 from skyline.terrain.provenance import DemOptions
@@ -60,7 +61,14 @@ def read_dem(paths: Dem, options: DemOptions | None = None) -> HeightField:
     names = dem_names(paths)
     if len(names) == 1 and Path(names[0]).suffix == SUFFIX:
         return read_field(Path(names[0]))
-    return field_of(metric_dem(_read(names, options), options))
+    place = place_of(names, options)
+    if place is None:
+        return field_of(metric_dem(_read(names, options), options))
+    if kept := kept_model(place):
+        return kept
+    with noted_warnings() as warnings:
+        dem = metric_dem(_read(names, options), options)
+    return keep_model(dem, place, warnings)
 
 
 def read_files(paths: Paths, options: DemOptions | None = None) -> Mosaic:

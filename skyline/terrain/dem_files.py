@@ -186,7 +186,8 @@ def _raster_in(name: str, where: str) -> _Raster | None:
         return None
     try:
         # In large folders GDAL finds sidecar files faster one by one than in a list of all files.
-        with opened_raster(for_gdal(name), GDAL_DISABLE_READDIR_ON_OPEN="TRUE") as dataset:
+        quick = {"GDAL_DISABLE_READDIR_ON_OPEN": "TRUE"}
+        with opened_raster(for_gdal(name), header_only=True, **quick) as dataset:
             return _raster_of(name, dataset)
     except InputError as error:
         is_foreign = NOT_RECOGNIZED in str(error.__cause__)

@@ -2,6 +2,7 @@
 
 import logging
 from dataclasses import asdict, dataclass
+from functools import cached_property
 
 from skyline.arrays import Float32Array
 from skyline.errors import InputError
@@ -9,10 +10,11 @@ from skyline.geodesy.bounds import degrees_in_words, in_turn
 from skyline.geodesy.crs import is_metric, is_upright, off_area_deg, to_wgs84
 from skyline.geodesy.map_frame import Frame
 from skyline.terrain.grid import Grid
+from skyline.terrain.lazy_heights import Blocks, LazyHeights
 from skyline.terrain.mosaic import Mosaic
 from skyline.terrain.provenance import DemOptions, Provenance
 from skyline.terrain.repair import repair
-from skyline.terrain.resampling import ground_spacing_m, square_spacing_m, warp
+from skyline.terrain.resampling import Warp, ground_spacing_m, square_spacing_m
 
 FAR_DEG = 10.0
 """A DEM farther than this from the area of its CRS likely has the coordinates of another CRS."""
@@ -20,15 +22,40 @@ FAR_DEG = 10.0
 _log = logging.getLogger(__name__)
 
 
+@dataclass(frozen=True, eq=False)
+class Source:
+    """Repaired samples on the grid of their files, and the way to a metric grid."""
+
+    heights_m: Float32Array
+    """(rows, cols) float32; NaN marks a hole."""
+    warp: Warp
+
+    @cached_property
+    def bounds_m(self) -> Float32Array:
+        """Bounds (2, R, C) of the heights in each block of the metric grid."""
+        return self.warp.bounds_m(self.heights_m)
+
+    def block(self, rows: slice, cols: slice) -> Float32Array:
+        """Return a block of the metric grid."""
+        return self.warp.block(self.heights_m, rows, cols)
+
+    def in_memory(self) -> LazyHeights:
+        """Return the heights of the metric grid, whose blocks are kept in memory."""
+        target = self.warp.target
+        return LazyHeights(Blocks((target.rows, target.cols)), self.block, self.bounds_m)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class MetricDem:
     """Samples on a metric grid, from which a height field is made."""
 
-    heights_m: Float32Array
+    heights_m: Float32Array | LazyHeights
     """(rows, cols) float32; NaN marks a hole."""
     grid: Grid
     frame: Frame
     provenance: Provenance
+    source: Source | None = None
+    """What lazy heights are made from."""
 
 
 def metric_dem(mosaic: Mosaic, options: DemOptions) -> MetricDem:
@@ -44,6 +71,7 @@ def metric_dem(mosaic: Mosaic, options: DemOptions) -> MetricDem:
     heights_m = mosaic.heights_m
     lon, lat, accuracy = _centre(mosaic)
     frame = _map_frame(mosaic)
+    source = None
     if frame is not None:
         resampling = "none"
         counts = repair(heights_m, mosaic.source, max(grid.step_east, grid.step_north))
@@ -57,7 +85,7 @@ def metric_dem(mosaic: Mosaic, options: DemOptions) -> MetricDem:
             f"{ground_spacing[1]:.2f} m at the centre) to {spacing_m:g} m in the local conformal "
             "frame"
         )
-        heights_m, grid = warp(heights_m, grid, crs, frame, spacing_m)
+        source = Source(heights_m, Warp(grid, crs, frame, spacing_m))
     provenance = Provenance(
         files=mosaic.files,
         resampling=resampling,
@@ -65,7 +93,9 @@ def metric_dem(mosaic: Mosaic, options: DemOptions) -> MetricDem:
         options=asdict(options),
         conventions={**mosaic.conventions, "to_wgs84": accuracy},
     )
-    return MetricDem(heights_m, grid, frame, provenance)
+    if source is None:
+        return MetricDem(heights_m, grid, frame, provenance)
+    return MetricDem(source.in_memory(), source.warp.target, frame, provenance, source)
 
 
 def _centre(mosaic: Mosaic) -> tuple[float, float, str]:

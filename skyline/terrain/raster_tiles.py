@@ -85,7 +85,7 @@ def dataset_tile(dataset: Any, default_crs: CRS | None) -> Tile:
     # A warped or virtual dataset may have the name of a file, but not its heights.
     on_disk = isinstance(dataset, rasterio.DatasetReader) and is_file(source)
     files = (str(Path(source).absolute()),) if on_disk else ()
-    return _tile_of(source, lambda: nullcontext(dataset), default_crs, files)
+    return _tile_of(source, lambda **_: nullcontext(dataset), default_crs, files)
 
 
 def array_tile(array: Any, default_crs: CRS | None) -> Tile:
@@ -131,12 +131,12 @@ def array_tile(array: Any, default_crs: CRS | None) -> Tile:
 
 def _tile_of(
     source: str,
-    opened: Callable[[], AbstractContextManager[Any]],
+    opened: Callable[..., AbstractContextManager[Any]],
     default_crs: CRS | None,
     files: tuple[str, ...],
 ) -> Tile:
     """Return the tile in a dataset; reading opens the dataset again."""
-    with opened() as dataset:
+    with opened(header_only=True) as dataset:
         band, alpha = _height_band(source, dataset)
         crs = _crs_of(source, None if dataset.crs is None else dataset.crs.to_wkt(), default_crs)
         transform = dataset.transform
