@@ -13,7 +13,6 @@ from typer import Argument, Option
 from skyline.cli.terminal import Terminal
 from skyline.errors import InputError, numbers_of, swapped_in_words
 from skyline.geodesy.bounds import are_degrees
-from skyline.store.read import is_store
 
 if TYPE_CHECKING:
     from skyline.geodesy.bounds import Bounds
@@ -133,10 +132,16 @@ def read_terrain(terminal: Terminal, dem: Sequence[str], crs: str | None) -> "He
     from skyline.terrain.provenance import DemOptions  # noqa: PLC0415  (slow to load)
 
     for name in dem:
-        if Path(name).suffix == ".h5" and is_store(name):
+        if Path(name).suffix == ".h5" and _is_store(name):
             raise InputError(f"{name} is a store; name the elevation model from which it was built")
     with terminal.slow("reading the elevation model"):
         return read_dem(dem, DemOptions(crs=crs))
+
+
+def _is_store(name: str) -> bool:
+    from skyline.store.read import is_store  # noqa: PLC0415  (slow to load)
+
+    return is_store(name)
 
 
 def parse_bounds(text: str) -> "Bounds":

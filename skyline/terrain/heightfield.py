@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from html import escape
 from pathlib import Path
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,9 +23,10 @@ from skyline.geodesy.bounds import Bounds
 from skyline.geodesy.map_frame import Frame
 from skyline.terrain.lazy_heights import LazyHeights
 from skyline.terrain.metric_dem import MetricDem, metric_dem
-from skyline.terrain.mosaic import read_mosaic
 from skyline.terrain.provenance import DemOptions, Provenance
-from skyline.terrain.raster_tiles import Tile, array_tile, dataset_tile
+
+if TYPE_CHECKING:
+    from skyline.terrain.raster_tiles import Tile
 
 Ground = Callable[[Float64Array, Float64Array], Float64Array]
 """Returns the heights in metres at eastings and northings, NaN off the map and on holes."""
@@ -167,6 +168,8 @@ class HeightField:
             It is not an open dataset, has several bands, a missing or unknown CRS, a rotated grid,
             or no height at all.
         """
+        from skyline.terrain.raster_tiles import dataset_tile  # noqa: PLC0415  (slow to load)
+
         options = options or DemOptions()
         return _field_of_tile(dataset_tile(dataset, options.default_crs), options)
 
@@ -196,6 +199,8 @@ class HeightField:
             It is not a DataArray, has other dimensions or several bands, missing or uneven
             coordinates, a missing or unknown CRS, or no height at all.
         """
+        from skyline.terrain.raster_tiles import array_tile  # noqa: PLC0415  (slow to load)
+
         options = options or DemOptions()
         return _field_of_tile(array_tile(data_array, options.default_crs), options)
 
@@ -408,7 +413,9 @@ def field_of(dem: MetricDem) -> HeightField:
     )
 
 
-def _field_of_tile(tile: Tile, options: DemOptions) -> HeightField:
+def _field_of_tile(tile: "Tile", options: DemOptions) -> HeightField:
+    from skyline.terrain.mosaic import read_mosaic  # noqa: PLC0415  (slow to load)
+
     return field_of(metric_dem(read_mosaic([tile]), options))
 
 

@@ -3,6 +3,7 @@
 import logging
 from dataclasses import asdict, dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 from skyline.arrays import Float32Array
 from skyline.errors import InputError
@@ -11,10 +12,12 @@ from skyline.geodesy.crs import is_metric, is_upright, off_area_deg, to_wgs84
 from skyline.geodesy.map_frame import Frame
 from skyline.terrain.grid import Grid
 from skyline.terrain.lazy_heights import Blocks, LazyHeights
-from skyline.terrain.mosaic import Mosaic
 from skyline.terrain.provenance import DemOptions, Provenance
 from skyline.terrain.repair import repair
 from skyline.terrain.resampling import Warp, ground_spacing_m, square_spacing_m
+
+if TYPE_CHECKING:
+    from skyline.terrain.mosaic import Mosaic
 
 FAR_DEG = 10.0
 """A DEM farther than this from the area of its CRS likely has the coordinates of another CRS."""
@@ -58,7 +61,7 @@ class MetricDem:
     """What lazy heights are made from."""
 
 
-def metric_dem(mosaic: Mosaic, options: DemOptions) -> MetricDem:
+def metric_dem(mosaic: "Mosaic", options: DemOptions) -> MetricDem:
     """Repair a DEM's heights, and warp them if they need it.
 
     Heights are repaired on their files' own grid, and warped where its map cannot be the frame.
@@ -98,7 +101,7 @@ def metric_dem(mosaic: Mosaic, options: DemOptions) -> MetricDem:
     return MetricDem(source.in_memory(), source.warp.target, frame, provenance, source)
 
 
-def _centre(mosaic: Mosaic) -> tuple[float, float, str]:
+def _centre(mosaic: "Mosaic") -> tuple[float, float, str]:
     """Return a DEM's middle in degrees, and its accuracy in words.
 
     Warns where the middle lies far off the area of the CRS; raises `InputError` where it is no
@@ -124,7 +127,7 @@ def _centre(mosaic: Mosaic) -> tuple[float, float, str]:
     return lon, lat, accuracy
 
 
-def _map_frame(mosaic: Mosaic) -> Frame | None:
+def _map_frame(mosaic: "Mosaic") -> Frame | None:
     """Return the frame of a DEM's map; None if it needs warping.
 
     A warning says why, unless the map is in degrees or in feet.

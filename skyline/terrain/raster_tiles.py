@@ -28,6 +28,7 @@ from skyline.errors import InputError, library
 from skyline.files import archive_of, is_file, on_disk
 from skyline.geodesy.crs import without_vertical
 from skyline.terrain.datums import SAME_UNIT, Vertical, map_conventions, metres_per, vertical_of
+from skyline.terrain.dem_files import no_dem
 from skyline.terrain.grid import Grid, row_strips
 from skyline.terrain.raster_files import bands_of, check_whole, filled_share, opened_raster
 
@@ -206,15 +207,6 @@ def _height_band(source: str, dataset: Any) -> tuple[int, int | None]:
             "raster (gdal_grid)"
         )
     return bands[0], alpha
-
-
-def no_dem(given: object) -> InputError:
-    """Return the error for a value that cannot be a DEM."""
-    return InputError(
-        f"the DEM is of type {type(given).__name__}; read_dem takes paths or one HeightField, "
-        "HeightField.from_rasterio an open rasterio dataset, HeightField.from_xarray a DataArray, "
-        "HeightField itself an array of heights"
-    )
 
 
 def _heights_of(

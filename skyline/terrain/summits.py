@@ -157,8 +157,8 @@ def _falls_by(around_m: Float64Array, fall_m: float, rise_m: float) -> bool:
 
     On the way it may rise by ``rise_m`` above the middle.
     """
-    from scipy.ndimage import label  # noqa: PLC0415  (slow to load, seldom needed)
+    import cv2  # noqa: PLC0415  (slow to load, seldom needed)
 
     middle = around_m.shape[0] // 2, around_m.shape[1] // 2
-    hills, _ = label(around_m >= around_m[middle] - fall_m, np.ones((3, 3)))
+    hills = cv2.connectedComponents((around_m >= around_m[middle] - fall_m).view(np.uint8))[1]
     return bool(around_m[hills == hills[middle]].max() <= around_m[middle] + rise_m)
