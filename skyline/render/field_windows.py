@@ -5,8 +5,8 @@ lines of samples, and a skyline over it is the greatest of its skylines over the
 """
 
 import itertools
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,12 +14,19 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from skyline.arrays import Float32Array
+from skyline.arrays import Float32Array, Float64Array, UInt8Array
 from skyline.errors import ContextError
 from skyline.render.context import GlContext
 from skyline.skylines import HEADINGS
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.slab_tree import MAX_LEVELS, level_count, slab_levels
+from skyline.terrain.slab_tree import (
+    MAX_LEVELS,
+    SLABS,
+    blocks_before,
+    fill_levels,
+    level_count,
+    level_shapes,
+)
 from skyline.terrain.triangles import Triangles
 
 SLOPE_BINS = 16
@@ -33,9 +40,6 @@ _COLUMN_APRON = 4
 
 _TREES_AT_ONCE = 2
 """Threads that build trees: NumPy lets them run side by side, and each takes its memory."""
-
-_Tree = Sequence[tuple[NDArray[Any], int]]
-"""By level: texels (bins, bands, blocks, components), and the blocks before column 0."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,15 +159,21 @@ class WindowTextures:
     def _trees_of_heights(self, heights_m: Float32Array) -> Trees:
         """Build the bounds of heights (rows, cols); headings of one axis share a tree."""
         codes = self._coded(heights_m)
+        axes = codes, codes.T
+        slopes = [np.linspace(-most, most, SLOPE_BINS + 1) for most in self.slope_max]
+        atlas = _Atlas([self._shapes(*one) for one in zip(axes, slopes, strict=True)], 4, "<u4")
 
-        def built(seen: NDArray[np.uint16], steepest: float) -> _Tree:
-            slopes = np.linspace(-steepest, steepest, SLOPE_BINS + 1)
-            tree = slab_levels(np.ascontiguousarray(seen), slopes, self._levels)
-            return [(maxima.view("<u4"), first_block) for maxima, first_block in tree]
+        def build(tree: int) -> None:
+            levels = [level.view("<u2") for level in atlas.levels(tree)]
+            fill_levels(np.ascontiguousarray(axes[tree]), slopes[tree], levels)
 
         with ThreadPoolExecutor(_TREES_AT_ONCE) as pool:
-            axes = list(pool.map(built, (codes, codes.T), self.slope_max))
-        return _stacked(self._ctx, axes, "u4")
+            list(pool.map(build, range(len(axes))))
+        return atlas.upload(self._ctx, [blocks_before(one) for one in slopes])
+
+    def _shapes(self, seen: NDArray[Any], slopes: Float64Array) -> list[tuple[int, int, int]]:
+        lines, columns = seen.shape
+        return level_shapes(lines, columns, slopes, self._levels)
 
     def _coded(self, heights_m: Float32Array) -> NDArray[np.uint16]:
         """Return the codes (rows, cols) of heights, rounded up."""
@@ -180,53 +190,84 @@ class WindowTextures:
 
         The triangles have an apron of one.
         """
-
-        def built(heading: int) -> _Tree:
-            steepest = self.slope_max[heading % 2]
-            halves = []
-            for grows, bounds in ((False, (-steepest, 0.0)), (True, (0.0, steepest))):
-                marks = triangles.entries(*_quadrant(heading, grows))[1:-1, 1:-1].view(np.uint8)
-                seen = np.ascontiguousarray(marks.T if heading % 2 else marks)
-                slopes = np.linspace(*bounds, SLOPE_BINS // 2 + 1)
-                halves.append(slab_levels(seen, slopes, self._levels))
-            tree = []
-            for (lower, first_block), (upper, _) in zip(*halves, strict=True):
-                marks = np.concatenate([lower, upper])
-                tree.append((np.packbits(marks, axis=-1, bitorder="little"), first_block))
-            return tree
-
+        quadrants = [(north, east) for north in (False, True) for east in (False, True)]
         with ThreadPoolExecutor(_TREES_AT_ONCE) as pool:
-            return _stacked(self._ctx, list(pool.map(built, HEADINGS)), "u1")
+            found = pool.map(lambda quadrant: triangles.entries(*quadrant), quadrants)
+            marks = {
+                quadrant: one[1:-1, 1:-1].view(np.uint8)
+                for quadrant, one in zip(quadrants, found, strict=True)
+            }
+            return self._trees_of_marks(marks, pool)
+
+    def _trees_of_marks(
+        self, marks: Mapping[tuple[bool, bool], UInt8Array], pool: Executor
+    ) -> Trees:
+        """Build the trees of marks, which are given by the quadrant into which rays go."""
+        axes = marks[False, False], marks[False, False].T
+        slopes = [np.linspace(-most, most, SLOPE_BINS + 1) for most in self.slope_max]
+        shapes = [self._shapes(*one) for one in zip(axes, slopes, strict=True)]
+        atlas = _Atlas([shapes[heading % 2] for heading in HEADINGS], 1, "u1")
+
+        def build(heading: int) -> None:
+            axis = heading % 2
+            whole = [np.empty((*shape, SLABS), np.uint8) for shape in shapes[axis]]
+            middle = SLOPE_BINS // 2
+            for grows, bins in ((False, slice(middle)), (True, slice(middle, None))):
+                seen = marks[_quadrant(heading, grows)]
+                some = slopes[axis][bins.start : (bins.stop or SLOPE_BINS) + 1]
+                levels = [level[bins] for level in whole]
+                fill_levels(np.ascontiguousarray(seen.T if axis else seen), some, levels)
+            for level, filled in zip(atlas.levels(heading), whole, strict=True):
+                level[:] = np.packbits(filled, axis=-1, bitorder="little")
+
+        list(pool.map(build, HEADINGS))
+        return atlas.upload(self._ctx, [blocks_before(slopes[one % 2]) for one in HEADINGS])
 
 
-def _stacked(ctx: moderngl.Context, trees: Sequence[_Tree], dtype: str) -> Trees:
-    """Put two or four trees into one texture.
+class _Atlas:
+    """One array of texels for the levels of two or four trees.
 
     If there are two, each serves both headings of an axis. Four stand in two stacks side by side,
     because one stack of four would be higher than a texture may be. A ray that leaves its own tree
     may meet the next one: superfluous marks and bounds cost time, but change no skyline.
     """
-    levels = [texels for tree in trees for texels, _ in tree]
-    width = max(texels.shape[2] for texels in levels)
-    stacks = [trees[first : first + 2] for first in range(0, len(trees), 2)]
-    height = max(
-        sum(len(texels) * texels.shape[1] for tree in stack for texels, _ in tree)
-        for stack in stacks
-    )
-    columns = _pitch(width * len(stacks))
-    atlas = np.zeros((height, columns, levels[0].shape[3]), levels[0].dtype)
-    places = []
-    for left, stack in zip(itertools.count(0, width), stacks):
-        top = 0
-        for tree in stack:
-            here = []
-            for texels, first_block in tree:
-                rows = texels.reshape(-1, *texels.shape[2:])
-                atlas[top : top + len(rows), left : left + rows.shape[1]] = rows
-                here.append((top, texels.shape[1], left + first_block))
-                top += len(rows)
+
+    def __init__(
+        self, shapes: Sequence[Sequence[tuple[int, int, int]]], components: int, dtype: str
+    ) -> None:
+        """Make room for trees, whose levels have the shapes (bins, bands, blocks)."""
+        width = max(blocks for tree in shapes for _, _, blocks in tree)
+        # By tree, the first row, the first column and the shape of each level.
+        self._levels: list[list[tuple[int, int, tuple[int, int, int]]]] = []
+        height = top = 0
+        for number, tree in enumerate(shapes):
+            stack, place = divmod(number, 2)
+            top = top if place else 0
+            levels = []
+            for shape in tree:
+                levels.append((top, stack * width, shape))
+                top += shape[0] * shape[1]
+            self._levels.append(levels)
+            height = max(height, top)
+        columns = _pitch(width * -(-len(shapes) // 2))
+        self._texels: NDArray[Any] = np.zeros((height, columns, components), dtype)
+
+    def levels(self, tree: int) -> list[NDArray[Any]]:
+        """Return the texels (bins, bands, blocks, components) of each level of a tree."""
+        found = []
+        for top, left, (bins, bands, blocks) in self._levels[tree]:
+            texels = self._texels[top : top + bins * bands, left : left + blocks]
+            found.append(texels.reshape(bins, bands, blocks, -1))
+        return found
+
+    def upload(self, ctx: moderngl.Context, before: Sequence[int]) -> Trees:
+        """Return the texture and its levels; ``before`` is the `blocks_before` of each tree."""
+        places = []
+        for levels, blocks in zip(self._levels, before, strict=True):
+            here = [(top, shape[1], left + blocks) for top, left, shape in levels]
             places.append((*here, *[(0, 0, 0)] * (MAX_LEVELS - len(here))))
-    return Trees(_upload(ctx, atlas, dtype), tuple(places[h % len(places)] for h in HEADINGS))
+        texture = _upload(ctx, self._texels, self._texels.dtype.str[1:])
+        return Trees(texture, tuple(places[heading % len(places)] for heading in HEADINGS))
 
 
 def _quadrant(heading: int, grows: bool) -> tuple[bool, bool]:

@@ -11,7 +11,7 @@ greatest height, and codes of 16 bits are compared four times as fast as heights
 """
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -21,10 +21,6 @@ from skyline.arrays import Float64Array
 
 Codes = NDArray[Any]
 """uint16 codes of heights, or uint8 marks; 0 where there is nothing."""
-
-SlabLevel = tuple[Codes, int]
-"""One level of the tree: the greatest codes (bins, bands, blocks, SLABS), 0 where a ray meets no
-sample, and the number of blocks before the block that begins at column 0."""
 
 SLABS = 8
 """Slabs in a band: the children of a node of the tree."""
@@ -49,12 +45,32 @@ def level_count(strips: int) -> int:
     return levels
 
 
-def slab_levels(codes: Codes, slopes: Float64Array, levels: int) -> Iterator[SlabLevel]:
-    """Yield the levels of the tree, the finest first.
+def blocks_before(slopes: Float64Array) -> int:
+    """Return the number of blocks before the block that begins at column 0."""
+    return int(np.ceil(SLABS * np.abs(slopes).max())) + 1
+
+
+def level_shapes(
+    lines: int, columns: int, slopes: Float64Array, levels: int
+) -> list[tuple[int, int, int]]:
+    """Return the bins, bands and blocks of each level of a tree; see `fill_levels`."""
+    slabs = max(-(-(lines - 1) // LEAF_STRIPS), 1)
+    shapes = []
+    for level in range(levels):
+        bands = -(-slabs // SLABS)
+        blocks = -(-columns // (LEAF_STRIPS * SLABS**level)) + 2 * blocks_before(slopes)
+        shapes.append((len(slopes) - 1, bands, blocks))
+        slabs = bands
+    return shapes
+
+
+def fill_levels(codes: Codes, slopes: Float64Array, levels: Sequence[Codes]) -> None:
+    """Write the levels of the tree, the finest first.
 
     Codes are (lines, columns). Rays run along the first axis, and strips lie between lines.
     ``slopes`` (bins + 1,) are increasing bounds of the bins of rays' slopes, columns per line.
-    ``levels`` is the `level_count` of the longer axis.
+    ``levels`` are arrays (bins, bands, blocks, SLABS), as many as the `level_count` of the longer
+    axis, of the `level_shapes`. They take the greatest codes, 0 where a ray meets no sample.
     """
     slabs = max(-(-(len(codes) - 1) // LEAF_STRIPS), 1)
     lines = _padded(codes, 0, slabs * LEAF_STRIPS + 1)
@@ -63,12 +79,12 @@ def slab_levels(codes: Codes, slopes: Float64Array, levels: int) -> Iterator[Sla
         np.maximum(maxima, lines[line : slabs * LEAF_STRIPS : LEAF_STRIPS], out=maxima)
     slab = LEAF_STRIPS
     step = 0
-    for level in range(levels):
-        if level:
+    for number, level in enumerate(levels):
+        if number:
             maxima = _coarsened(maxima, step, slab)
             step = slab
             slab *= SLABS
-        yield _bin_level(maxima, step, slab, codes.shape[1], slopes)
+        _fill_level(maxima, step, slab, slopes, level)
 
 
 def _coarsened(maxima: Codes, step: int, wanted: int) -> Codes:
@@ -90,13 +106,10 @@ def _coarsened(maxima: Codes, step: int, wanted: int) -> Codes:
     return joined
 
 
-def _bin_level(
-    source: Codes, step: int, slab: int, columns: int, slopes: Float64Array
-) -> SlabLevel:
-    """Return the level of slabs from their maxima, a result of `_coarsened`."""
-    bands = -(-len(source) // SLABS)
-    first_block = int(np.ceil(SLABS * np.abs(slopes).max())) + 1
-    blocks = -(-columns // slab) + 2 * first_block
+def _fill_level(source: Codes, step: int, slab: int, slopes: Float64Array, level: Codes) -> None:
+    """Write the level of slabs from their maxima, a result of `_coarsened`."""
+    _, bands, blocks, _ = level.shape
+    first_block = blocks_before(slopes)
     width = max(step, 1)
     ratio = slab // width
     by_child = _padded(source, 0, bands * SLABS).reshape(bands, SLABS, -1).swapaxes(0, 1)
@@ -104,7 +117,6 @@ def _bin_level(
     padded = np.zeros((SLABS, bands, (blocks + 2 * first_block + 2) * ratio), source.dtype)
     padded[..., 2 * first_block * ratio :][..., : by_child.shape[2]] = by_child
     spans = _Spans(padded, ratio, blocks)
-    maxima = np.empty((len(slopes) - 1, bands, blocks, SLABS), dtype=source.dtype)
     for index, (lower, upper) in enumerate(itertools.pairwise(slopes)):
         least = lower - _SLACK_SLOPE
         most = upper + _SLACK_SLOPE
@@ -116,8 +128,7 @@ def _bin_level(
             first = int(np.floor(low / width))
             past = int(np.ceil(high / width)) + (step == 0)
             start = first + first_block * ratio
-            spans.write_maxima(child, start, past - first, maxima[index, :, :, child])
-    return maxima, first_block
+            spans.write_maxima(child, start, past - first, level[index, :, :, child])
 
 
 class _Spans:

@@ -3,7 +3,25 @@
 import numpy as np
 import pytest
 
-from skyline.terrain.slab_tree import LEAF_STRIPS, SLABS, level_count, slab_levels
+from skyline.terrain.slab_tree import (
+    LEAF_STRIPS,
+    SLABS,
+    blocks_before,
+    fill_levels,
+    level_count,
+    level_shapes,
+)
+
+
+def levels_of(codes, slopes):
+    """Return the levels of the tree of some codes."""
+    count = level_count(max(codes.shape) - 1)
+    levels = [
+        np.empty((*shape, SLABS), codes.dtype)
+        for shape in level_shapes(*codes.shape, slopes, count)
+    ]
+    fill_levels(codes, slopes, levels)
+    return levels
 
 
 @pytest.mark.parametrize("slope", [-1.0, 1.0])
@@ -12,7 +30,9 @@ def test_a_ray_that_enters_at_the_end_of_a_band_is_bounded(slope):
     codes = np.zeros((129, 65), dtype=np.uint16)
     codes[:, [0, -1]] = 50, 70
     slab = LEAF_STRIPS
-    for maxima, first_block in slab_levels(codes, np.array([-1.0, 0.0, 1.0]), level_count(128)):
+    slopes = np.array([-1.0, 0.0, 1.0])
+    first_block = blocks_before(slopes)
+    for maxima in levels_of(codes, slopes):
         strips = SLABS * slab
         start = 0.25 - strips if slope > 0.0 else 63.75 + strips
         block = int(np.floor(start / slab)) + first_block
@@ -26,7 +46,8 @@ def test_a_slab_has_the_greatest_code_that_its_rays_sweep(lines, columns):
     """The finest level agrees with the columns that rays of a bin cross, one slab at a time."""
     codes = np.random.default_rng(7).integers(1, 1000, (lines, columns), dtype=np.uint16)
     slopes = np.array([-0.5, 0.25])
-    maxima, first_block = next(slab_levels(codes, slopes, level_count(max(lines, columns) - 1)))
+    maxima = levels_of(codes, slopes)[0]
+    first_block = blocks_before(slopes)
     for slab in range(max(-(-(lines - 1) // LEAF_STRIPS), 1)):
         band, child = divmod(slab, SLABS)
         strip = codes[LEAF_STRIPS * slab : LEAF_STRIPS * (slab + 1) + 1]
