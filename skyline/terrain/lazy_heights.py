@@ -43,6 +43,14 @@ def block_slices(shape: Shape, down: int, right: int) -> tuple[slice, slice]:
     return slice(top, min(top + _ROWS, shape[0])), slice(left, min(left + _COLS, shape[1]))
 
 
+def spans_of(shape: Shape) -> tuple[list[slice], list[slice]]:
+    """Return the rows of the blocks of a grid from north to south, and the columns west to east."""
+    down, right = block_counts(shape)
+    rows = [block_slices(shape, at, 0)[0] for at in range(down)]
+    cols = [block_slices(shape, 0, at)[1] for at in range(right)]
+    return rows, cols
+
+
 def checksum(samples: Float32Array) -> int:
     """Return the checksum of samples, which is never 0."""
     return zlib.crc32(np.ascontiguousarray(samples).data) or 1

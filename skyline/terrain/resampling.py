@@ -18,7 +18,7 @@ from skyline.errors import InputError
 from skyline.geodesy.crs import transformer
 from skyline.geodesy.map_frame import Frame
 from skyline.terrain.grid import MAX_SAMPLES, STRIP_SAMPLES, Grid, full_turn, row_strips
-from skyline.terrain.lazy_heights import block_counts, block_slices, reduced
+from skyline.terrain.lazy_heights import block_counts, reduced, spans_of
 
 POSITION_TOLERANCE = 1e-3
 """Greatest error of a position in the source, in samples."""
@@ -122,17 +122,19 @@ class Warp:
         bounds = np.empty((2, *block_counts((target.rows, target.cols))), dtype=np.float32)
         bounds[0] = np.inf
         bounds[1] = -np.inf
-        for at in np.ndindex(bounds.shape[1:]):
-            # Extremes of the source's rows and columns lie on a block's border, between nodes too
-            # little farther out to leave the margin.
-            sides = (
-                np.linspace(span.start, span.stop - 1, _NODES)
-                for span in block_slices((target.rows, target.cols), *at)
+        # Extremes of the source's rows and columns lie on a block's border, between nodes too
+        # little farther out to leave the margin.
+        row, col = self._positions(
+            *(
+                np.concatenate([np.linspace(one.start, one.stop - 1, _NODES) for one in along])
+                for along in spans_of((target.rows, target.cols))
             )
-            row, col = self._positions(*sides)
+        )
+        for at in np.ndindex(bounds.shape[1:]):
+            nodes = tuple(slice(_NODES * one, _NODES * (one + 1)) for one in at)
             over = tuple(
                 slice(span.start // _COARSE, -(-span.stop // _COARSE))
-                for span in (_span(row, self._grid.rows), _span(col, self._grid.cols))
+                for span in (_span(row[nodes], self._grid.rows), _span(col[nodes], self._grid.cols))
             )
             if all(span.stop > span.start for span in over):
                 bounds[0][at] = np.fmin.reduce(coarse[0][over], axis=None, initial=np.inf)
