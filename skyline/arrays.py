@@ -1,4 +1,4 @@
-"""Types of arrays for hints, and a base of dataclasses whose fields are arrays of one length."""
+"""Types of arrays for hints, and a base of dataclasses of arrays."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, Self, cast
@@ -21,11 +21,14 @@ Progress = Callable[[int, int], None]
 """Called with the number of finished pieces of work, and the number of all pieces."""
 
 Index = slice | NDArray[np.integer] | BoolArray
-"""What chooses rows: a slice, row numbers or a mask."""
+"""An index of rows: a slice, row numbers or a mask."""
 
 
 class Rows:
-    """Base of dataclasses whose fields are arrays, or `Rows`, of one length, or None."""
+    """Base of dataclasses whose fields are arrays of one length.
+
+    A field may also be other `Rows` of that length, or None.
+    """
 
     __slots__ = ()
 
@@ -50,7 +53,7 @@ class Rows:
         return cls(**{name: _concatenated(column) for name, column in columns.items()})
 
     def replaced(self, chosen: BoolArray, other: Self) -> Self:
-        """Return these rows, with the rows of another where ``chosen`` (M,) is true."""
+        """Return the rows of ``other`` where ``chosen`` (M,), else these."""
         columns = {name: (getattr(other, name), old) for name, old in self.columns().items()}
         return type(self)(**{name: _chosen(chosen, *both) for name, both in columns.items()})
 

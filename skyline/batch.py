@@ -1,7 +1,7 @@
-"""Lists of photos: their entries, and matching all of them here or on workers.
+"""Lists of photos, and matching them here or on workers.
 
-An entry is one job of a worker, which opens the store once. The answers are the same to the bit as
-in one process.
+An entry of a list is one job of a worker, which opens the store once. The answers are the same to
+the bit as in one process.
 """
 
 import re
@@ -15,12 +15,12 @@ from pathlib import Path
 from typing import Any, cast
 
 from skyline.camera import Projection
-from skyline.errors import InputError, MissingFileError, SkylineError
-from skyline.files import REPORT_PAGE, STANDARD, is_own_page, version_of
+from skyline.errors import InputError, SkylineError
+from skyline.files import REPORT_PAGE, is_own_page, version_of
 from skyline.match.matcher import Matcher, paths_of
 from skyline.match.prior import Narrowing
 from skyline.match.result import MatchResult
-from skyline.photo.image import photos_in
+from skyline.photo.image import opened_image, photos_in
 from skyline.photo.photo import check_fov
 from skyline.photo.read import read_skyline
 from skyline.photo.skyline import Lens, PhotoSkyline
@@ -59,11 +59,10 @@ class Entry:
     """The ``id`` or ``name`` that a list gives it."""
 
     def check(self) -> None:
-        """Refuse errors that can be found without decoding a picture; raises as `read`."""
-        if self.path != STANDARD and not Path(self.path).exists():
-            raise MissingFileError(
-                f"{self.path} does not exist; expected a photo, a mask or a trace"
-            )
+        """Check what can be checked without decoding a picture.
+
+        Raises as `read`.
+        """
         check_fov(self.fov_deg, self.projection)
         if self.fov_sd_share is not None and not 0.0 <= self.fov_sd_share < 1.0:
             raise InputError(
@@ -71,6 +70,9 @@ class Entry:
             )
         if is_table(self.path):
             self.read()
+        else:
+            with opened_image(self.path):
+                pass  # Only its header is read
 
     def read(self) -> PhotoSkyline:
         """Return the skyline; raises as `skyline.photo.read.read_skyline`."""
@@ -88,7 +90,7 @@ def entries_of(paths: Iterable[Path], common: Entry) -> Iterator[Entry]:
     list's folder. Fields that a row leaves empty are filled from ``common``, except the path.
 
     A path with a wildcard that does not exist stands for the files that it matches. Pictures in a
-    folder come in natural order, without those of reports.
+    folder come in natural order; pictures of reports are left out.
 
     Raises `InputError` for a list with an unknown column, a bad value or no rows, for a folder
     without pictures, and for a wildcard that matches nothing.
@@ -109,7 +111,7 @@ def entries_of(paths: Iterable[Path], common: Entry) -> Iterator[Entry]:
 
 
 def _files_in(paths: Iterable[Path]) -> Iterator[Path]:
-    """Yield paths, and the files that folders and wildcards among them stand for."""
+    """Yield paths, with folders and wildcards replaced by their files."""
     for path in paths:
         if path.is_dir():
             pictures = photos_in(path, lambda folder: is_own_page(folder / REPORT_PAGE))
@@ -157,7 +159,7 @@ def _entry(table: Table, row: Row, common: Entry) -> Entry:
 
 
 def match_here(matcher: Matcher, entries: Iterable[Entry]) -> Iterator[MatchResult | SkylineError]:
-    """Match photos in this process; yields the result of each, or its error."""
+    """Match photos in this process; yield each one's result or error."""
     for entry in entries:
         try:
             yield _match(matcher, entry)
@@ -206,7 +208,10 @@ def _match(matcher: Matcher, entry: Entry, _: Tell | None = None) -> MatchResult
 
 
 def usable_entries(entries: Sequence[Entry]) -> list[Entry]:
-    """Return the photos that can be read; raises the error of the first if there are none."""
+    """Return the photos that can be read.
+
+    Raises the error of the first photo if none can be read.
+    """
     usable: list[Entry] = []
     errors: list[SkylineError] = []
     for one in entries:

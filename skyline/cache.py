@@ -26,9 +26,9 @@ import numpy as np
 
 from skyline.arrays import Progress
 from skyline.errors import FetchError, InputError, MissingFileError, SkylineError
-from skyline.fetch.dem_tiles import SOURCES, fetch_dem
+from skyline.fetch.dem_tiles import SOURCES, fetch_dem, source_of
 from skyline.files import cache_folder, lock_file, version_of
-from skyline.geodesy.bounds import Bounds, check_bounds, width_deg
+from skyline.geodesy.bounds import Bounds, check_bounds, contains_box, width_deg
 from skyline.geodesy.map_frame import TRUE_DEG, Frame
 from skyline.store.layout import SCHEMA_VERSION
 from skyline.store.places import PLACE_CODING
@@ -106,7 +106,7 @@ class CachedArea:
         return self.store.is_file() and self.terrain.is_file()
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the area as JSON can hold it, with the sizes of its files."""
+        """Return the area for JSON, with the sizes of its files."""
         about = [(path, path.stat()) for path in self.folder.rglob("*") if path.is_file()]
         tiles = [known.st_size for path, known in about if path.parent.name == "tiles"]
         latest = max((known.st_mtime for _, known in about), default=self.folder.stat().st_mtime)
@@ -129,20 +129,20 @@ def prepare_area(
     print_note: PrintNote = lambda _: None,
     bar: Bar = lambda _: nullcontext(),
 ) -> CachedArea:
-    """Return an area from the cache, which is built if it is missing.
+    """Return an area from the cache; build it if it is missing.
 
     ``dem`` are elevation files, or folders of them. Without it, tiles are fetched from ``source``,
-    a source of `fetch_dem`: by default ``$SKYLINE_DEM_SOURCE``, else Copernicus. Raises
+    a source of `fetch_dem`: by default the one of `source_of`. Raises
     `InputError` where the DEM does not cover the area, there is only sea, or the cache cannot be
     written, and `FetchError` where a server fails.
     """
     check_bounds(area.built)
     files = dem_names(dem)
-    source = source or os.environ.get("SKYLINE_DEM_SOURCE") or "copernicus"
-    home = _areas() / _origin(files, source)
+    source = source_of(source)
+    home = areas_folder() / _origin(files, source)
     with _explained():
         finished = (one for one in _areas_in(home.glob("*")) if one.is_finished)
-        serving = [one for one in finished if _contains(one.bounds_deg, area.needed)]
+        serving = [one for one in finished if contains_box(one.bounds_deg, area.needed)]
         if serving:
             made = min(serving, key=lambda one: _km2(one.bounds_deg))
             print_note(f"the area is in the cache already: {made.folder}")
@@ -150,7 +150,7 @@ def prepare_area(
         folder = home / _name_of(area.built)
         bounds = _bounds_of(folder.name) or area.built
         made = CachedArea(folder, bounds)
-        with _locked(folder, print_note):
+        with hold_area(folder, print_note):
             if made.is_finished:
                 return made
             _check_room(folder, bounds, with_tiles=not files)
@@ -171,24 +171,24 @@ def prepare_area(
 def cached_areas() -> list[CachedArea]:
     """Return the areas in the cache, by origin and bounds."""
     with _explained():
-        return _areas_in(_areas().glob("*/*"))
+        return _areas_in(areas_folder().glob("*/*"))
 
 
 def cached_files() -> set[Path]:
     """Return the cache's finished files: tiles, parts of stores, and stores."""
-    return {path for kind in ("tif", "h5") for path in _areas().rglob(f"[!.]*.{kind}")}
+    return {path for kind in ("tif", "h5") for path in areas_folder().rglob(f"[!.]*.{kind}")}
 
 
 def clear_cache(print_note: PrintNote = lambda _: None) -> int:
-    """Remove all areas but those that another process is making; return their number.
+    """Remove all areas, and return their number.
 
-    Elevation models that were kept are removed, too.
+    Elevation models that were kept are removed, too. Areas that another process is making stay.
     """
     cleared = 0
     with _explained():
         remove_models()
         for area in cached_areas():
-            with _locked(area.folder) as is_alone:
+            with hold_area(area.folder) as is_alone:
                 if not is_alone:
                     print_note(f"{area.folder} is being made by another skyline, and stays")
                     continue
@@ -202,7 +202,8 @@ def clear_cache(print_note: PrintNote = lambda _: None) -> int:
     return cleared
 
 
-def _areas() -> Path:
+def areas_folder() -> Path:
+    """Return the folder of the cache that holds the areas."""
     return cache_folder() / "areas"
 
 
@@ -217,7 +218,10 @@ _TERRAIN = str(Path(_STORE).with_suffix(SUFFIX))
 
 
 def _origin(files: Sequence[str], source: str) -> str:
-    """Return the folder's name for areas of some files, or of a source."""
+    """Return the name of the folder for a DEM's areas.
+
+    The DEM is some files, or comes from a source if there are none.
+    """
     if not files:
         template = SOURCES.get(source, source)
         name = source if source in SOURCES else urlsplit(template).hostname or "source"
@@ -244,17 +248,11 @@ def _km2(bounds_deg: Bounds) -> float:
     return 6371.0**2 * height * width * math.cos(math.radians((south + north) / 2.0))
 
 
-def _contains(outer: Bounds, inner: Bounds) -> bool:
-    off_deg = (inner[0] - outer[0]) % 360.0
-    return (
-        off_deg + width_deg(inner) <= width_deg(outer)
-        and outer[1] <= inner[1]
-        and inner[3] <= outer[3]
-    )
-
-
 def _name_of(bounds_deg: Bounds) -> str:
-    """Return the name of an area's folder: its bounds, rounded outwards to a kilometre."""
+    """Return the name of an area's folder.
+
+    The name has the area's bounds, rounded outwards to a kilometre.
+    """
     rounded = [math.floor(100.0 * side) for side in bounds_deg[:2]]
     rounded += [math.ceil(100.0 * side) for side in bounds_deg[2:]]
     limits = (18000, 9000, 18000, 9000)
@@ -280,7 +278,7 @@ def _areas_in(folders: Iterable[Path]) -> list[CachedArea]:
 def _fetch(
     folder: Path, bounds: Bounds, source: str, print_note: PrintNote, bar: Bar
 ) -> tuple[str, ...]:
-    """Fetch the tiles of all terrain seen from an area; return their files."""
+    """Fetch tiles of all terrain seen from an area; return the files."""
     seen = _seen_from(bounds)
     where = ",".join(f"{side:.2f}" for side in seen)
     print_note(
@@ -341,7 +339,10 @@ def _unwritable(reason: str) -> InputError:
 
 @contextmanager
 def _explained() -> Iterator[None]:
-    """Turn errors of a full or forbidden disk into one that names the cache."""
+    """Turn errors of a disk into one that names the cache.
+
+    They are errors of a full disk, and of a disk that may not be written.
+    """
     no_room = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
     no_rights = {errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR, errno.EEXIST}
     try:
@@ -358,8 +359,8 @@ def _explained() -> Iterator[None]:
 
 
 @contextmanager
-def _locked(folder: Path, print_note: PrintNote | None = None) -> Iterator[bool]:
-    """Hold an area's lock for the block, and yield whether it was obtained.
+def hold_area(folder: Path, print_note: PrintNote | None = None) -> Iterator[bool]:
+    """Hold an area's lock for the block; yield whether it was obtained.
 
     The folder is made if it is missing. With ``print_note`` the function waits for another process,
     else it gives up at once. A folder that contains only the lock at the end is removed.
@@ -374,7 +375,10 @@ def _locked(folder: Path, print_note: PrintNote | None = None) -> Iterator[bool]
 
 
 def _lock(folder: Path, print_note: PrintNote | None) -> TextIO | None:
-    """Return the open file of an area's lock; None if another has it."""
+    """Return the open file of an area's lock.
+
+    None if another process has the lock.
+    """
     before_waiting = None
     if print_note is not None:
         before_waiting = partial(
@@ -389,7 +393,7 @@ def _lock(folder: Path, print_note: PrintNote | None) -> TextIO | None:
 
 
 def _remove_unused(folder: Path) -> None:
-    """Remove an area's folder if it has nothing but the lock, which is held."""
+    """Remove an area's folder if it has nothing but the held lock."""
     with suppress(OSError):
         (folder / "tiles").rmdir()
     with suppress(OSError):

@@ -1,7 +1,8 @@
-"""Errors and log lines: one line each, with what was found, what was expected and what to do.
+"""Errors and log lines, of one line each.
 
-Every error is also the builtin error a Python caller would expect, and carries the exit
-code of the command line: 2 for bad input, 1 for a failure.
+An error says what was found, what was expected and what to do. Every error is also the builtin
+error a Python caller would expect, and carries the exit code of the command line: 2 for bad input,
+1 for a failure.
 """
 
 import io
@@ -38,7 +39,10 @@ def _escaped(letter: str) -> str:
 
 
 class SkylineError(Exception):
-    """Base of Skyline's errors; ``str`` of it is one line for the user."""
+    """Base of Skyline's errors.
+
+    ``str`` of an error is one line for the user.
+    """
 
     exit_code = 1
 
@@ -60,11 +64,17 @@ class MissingFileError(SkylineError, FileNotFoundError):
 
 
 class OffMapError(InputError):
-    """A location outside the data, on a hole, or an eye below the ground."""
+    """A location where no eye can stand.
+
+    It lies outside the data or on a hole, or the eye would be below the ground.
+    """
 
 
 class StoreError(SkylineError, OSError):
-    """A store that cannot be read or written: truncated, damaged or not a store."""
+    """A store that cannot be read or written.
+
+    It is truncated or damaged, or the file is not a store.
+    """
 
     exit_code = 2
 
@@ -74,7 +84,7 @@ class StoreMismatchError(InputError):
 
 
 class ContextError(SkylineError, RuntimeError):
-    """No OpenGL context could be made, or it lacks memory or a feature."""
+    """No OpenGL context, or one that lacks memory or a feature."""
 
 
 class FetchError(SkylineError, OSError):
@@ -86,7 +96,10 @@ class BusyError(SkylineError, BlockingIOError):
 
 
 class BuildError(SkylineError, RuntimeError):
-    """A build in which some jobs failed; the parts of the others are kept."""
+    """A build in which some jobs failed.
+
+    The parts of the other jobs are kept.
+    """
 
 
 def entry_named(what: str, name: str, known: Mapping[str, T]) -> T:

@@ -1,4 +1,7 @@
-"""Files: reading, writing whole or not at all, folders of files, locks, names for GDAL."""
+"""Files: reading, writing, folders, locks, and names for GDAL.
+
+A file is written whole or not at all.
+"""
 
 import fcntl
 import os
@@ -18,6 +21,8 @@ REPORT_PAGE = "index.html"
 """The page of a report's folder."""
 PAGE_MARK = '<meta name="generator" content="Skyline">'
 """The mark of the pages that Skyline writes."""
+STORE_SCHEMA = "skyline-store"
+"""The attribute ``schema`` of a store, by which GDAL knows it from other HDF5 files."""
 STANDARD = "-"
 """The name of standard input and output among paths."""
 GEOJSON = (".geojson", ".json")
@@ -171,7 +176,7 @@ def names_in_words(names: Sequence[str]) -> str:
 
 
 def left_out_in_words(names: Sequence[str], expected: str) -> str:
-    """Return a clause on the files of a folder that are left out."""
+    """Return a clause on a folder's files that are left out."""
     one = len(names) == 1
     number, verb = ("1 file", "is") if one else (f"{len(names)} files", "are")
     return f"{number} {verb} left out, which {verb} no {expected}: {names_in_words(names)}"
@@ -219,24 +224,34 @@ def lock_file(path: Path, before_waiting: Callable[[], object] | None = None) ->
 
 
 def lies_in_any(output: Path, folders: Iterable[str]) -> bool:
-    """Return whether an output is one of some folders, or lies in one or in a folder of it."""
+    """Return whether an output is one of some folders, or inside one.
+
+    It may lie in a folder of such a folder.
+    """
     place = output.resolve()
     return not {Path(one).resolve() for one in folders}.isdisjoint([place, *place.parents])
 
 
-def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path]) -> None:
-    """Raise `InputError` for an output that is an input or another output, or cannot be made."""
+def check_outputs(
+    outputs: Iterable[Path | None], inputs: Iterable[Path], folder: Path | None = None
+) -> None:
+    """Check the outputs of a command: files, and perhaps a folder.
+
+    Raises `InputError` for an output that is an input or another output, or that cannot be made.
+    """
     read = [path for path in inputs if is_file(path)]
-    named = [path for path in outputs if path is not None]
+    named = [path for path in (*outputs, folder) if path is not None]
     places = [path.resolve() for path in named]
     for path in named:
         if places.count(path.resolve()) > 1:
             raise InputError(f"{path} is the name of two outputs; choose another name for one")
         if path.exists() and any(path.samefile(one) for one in read):
             raise InputError(f"{path} is an input; choose another name for the output")
-        folder = next(one for one in path.resolve().parents if one.exists())
-        if str(path) != STANDARD and not os.access(folder, os.W_OK | os.X_OK):
-            raise InputError(f"{path} cannot be written: there are no rights to write in {folder}")
+        if path.is_dir() and path is not folder:
+            raise InputError(f"{path} is a folder; name a file for the output")
+        parent = next(one for one in path.resolve().parents if one.exists())
+        if str(path) != STANDARD and not os.access(parent, os.W_OK | os.X_OK):
+            raise InputError(f"{path} cannot be written: there are no rights to write in {parent}")
 
 
 def for_gdal(name: str) -> str:
@@ -255,7 +270,7 @@ def for_gdal(name: str) -> str:
 
 
 def member_name(archive: str | Path, member: str) -> str:
-    """Return the name by which GDAL opens a member of a zip archive."""
+    """Return GDAL's name for a member of a zip archive."""
     return f"/vsizip/{{{archive}}}/{member}"
 
 

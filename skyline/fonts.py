@@ -41,16 +41,20 @@ def fonts_for(texts: Sequence[str]) -> list[tuple[str, ...]]:
 
 
 def undrawn_letters(texts: Iterable[str]) -> set[str]:
-    """Return the letters of texts, each with its marks, that no installed font draws."""
+    """Return the letters of texts that no installed font draws.
+
+    A letter comes with the marks that follow it.
+    """
     letters = set().union(*map(_letters, texts))
     letters -= _drawn_as_usual(letters)
     return letters.difference(*_drawn_by_others(letters).values())
 
 
 def packages_with(letters: Iterable[str]) -> list[str]:
-    """Return Debian's packages of fonts that draw most letters of the same kinds.
+    """Return Debian's packages of fonts for letters.
 
-    Matplotlib draws outlines, and not the coloured pixels of fonts-noto-color-emoji.
+    The fonts draw most letters of the same kinds. Matplotlib draws outlines, and not the coloured
+    pixels of fonts-noto-color-emoji.
     """
     return sorted({_package(letter[0]) for letter in letters} - {""})
 
@@ -66,7 +70,7 @@ def _package(letter: str) -> str:
 
 
 def _letters(text: str) -> set[str]:
-    """Return the visible letters of a text, each with the marks that follow it."""
+    """Return a text's visible letters, each with the marks after it."""
     found: list[str] = []
     for letter in unicodedata.normalize("NFC", text):
         kind = unicodedata.category(letter)
@@ -80,7 +84,10 @@ def _letters(text: str) -> set[str]:
 
 
 def _families(missing: set[str], others: dict[str, set[str]]) -> tuple[str, ...]:
-    """Return the default families and as few others as draw the missing letters."""
+    """Return the default families and others for the missing letters.
+
+    There are as few others as draw these letters.
+    """
     families = list(rcParams["font.family"])
     while missing:
         best = max(others, key=lambda family: len(others[family] & missing), default="")

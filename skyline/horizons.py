@@ -307,7 +307,7 @@ def horizons_of(
     surface: HeightField | None = None,
     ids: Sequence[str] = (),
 ) -> LocalHorizons:
-    """Return the horizons of eyes; the arguments are those of `horizon`."""
+    """Return the horizons of eyes; see `horizon` for the arguments."""
     steps = steps_a_turn(step_deg)
     if not len(eyes):
         raise InputError("no place was given; give the longitude and latitude of one or more")

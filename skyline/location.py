@@ -1,4 +1,7 @@
-"""Locating photos without a store, in an area that they or the user name."""
+"""Locating photos without a store.
+
+The photos or the user name the area in which they are searched.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -77,7 +80,7 @@ def locate(
 
 
 def area_of(photos: Sequence[Picture], narrowing: Narrowing) -> tuple[Area, Narrowing]:
-    """Return the area in which to search for photos, and the narrowing to it.
+    """Return the area in which photos are searched, and its narrowing.
 
     Raises `InputError` if neither the narrowing nor a photo has a position, or if the photos were
     taken far apart.
@@ -102,7 +105,7 @@ def area_of(photos: Sequence[Picture], narrowing: Narrowing) -> tuple[Area, Narr
     if not np.hypot(np.ptp(east), np.ptp(north)) <= 1000.0 * _TOGETHER_KM:
         raise InputError(
             f"the photos were taken more than {_TOGETHER_KM:g} km apart, by their EXIF; locate "
-            "those of one area at a time, or give --near LON,LAT,KM"
+            "the photos of one area at a time, or give --near LON,LAT,KM"
         )
     area = Area.around(positions, NOTED_KM, _NEEDED_KM)
     if len(positions) == 1:

@@ -35,7 +35,7 @@ from skyline.match.prior import (
     PlacePrior,
     Prior,
     Standing,
-    position_sd_m,
+    noted_position_sd_m,
 )
 from skyline.match.rays import Rays
 from skyline.match.refine import VIEW_WIDTH, Effort, Particles, Refinement
@@ -63,12 +63,12 @@ from skyline.terrain.viewpoints import (
 )
 
 Place = tuple[float, float, float | None, float]
-"""Longitude, latitude, elevation of the eye or None, and the standard error in metres."""
+"""Longitude, latitude, elevation of the eye or None, and the standard deviation in metres."""
 
 RIGHT_DEG = 1.0
 """Largest error of a heading that is right."""
-DEFAULT_WITHIN_M = 50.0
-"""Error of a place that a person reads off a map, or a phone notes between cliffs."""
+DEFAULT_POSITION_SD_M = 50.0
+"""For a position that a person reads off a map, or a phone notes between cliffs."""
 LEAST_CONFIDENCE = 0.85
 """Least confidence of a heading that is trusted. It was chosen on the Sierra, Rofental and Everest:
 none of 169 photos from other regions reaches it, and 2 % of the headings that reach it are wrong.
@@ -79,8 +79,8 @@ At 0.8, 4 % are wrong."""
 class HeadingSearch:
     """Which eyes and fits the search for a heading tries."""
 
-    most_within_m: float = 500.0
-    """Greatest error of the place. A place that is known less well is searched for by a match."""
+    most_position_sd_m: float = 500.0
+    """Greatest standard deviation of the position. A place known less well is found by a match."""
     ring: int = 8
     """Places rendered around the known one."""
     takeoff_m: float = 200.0
@@ -121,7 +121,7 @@ class _Doubts:
     """An eye of another height whose cost is higher by less than this makes the best one
     doubtful."""
     far_sds: float = 4.0
-    """A pose farther from the known place than so many of its standard errors is of another place.
+    """A pose farther from the known place than so many standard deviations is of another place.
     """
     named_cost: float = 20.0
     """A heading whose cost is higher by less than this is named in a refusal."""
@@ -184,13 +184,14 @@ class Orientation:
 
     def to_row(self) -> dict[str, Any]:
         """Return the row of ``skyline orient -o``."""
+        pose = {} if self.pose is None else self.pose.to_dict()
         row: dict[str, Any] = {"photo": printable(self.name), "trusted": int(not self.refusal)}
         for angle in ("heading", "pitch", "roll", "fov"):
-            row[f"{angle}_deg"] = getattr(self.pose, f"{angle}_deg", None)
+            row[f"{angle}_deg"] = pose.get(f"{angle}_deg")
             sd_name = f"{angle}_sd_deg"
             row[sd_name] = None if self.pose is None else getattr(self, sd_name)
         for name in ("distortion", "lon", "lat", "eye_elevation_m", "residual_deg"):
-            row[name] = getattr(self.pose, name, None)
+            row[name] = pose.get(name)
         return row | {
             "moved_m": None if self.pose is None else self.moved_m,
             "eye_height_m": None if self.pose is None else self.eye_height_m,
@@ -236,17 +237,17 @@ class Orienter(Releasable):
     elevation_m : float, optional
         Elevation of the eye above the DEM's datum. By default the eye stands on the ground, or at a
         height that the photo notes, and the fit decides.
-    within_m : float
-        Standard error of the place, metres.
+    position_sd_m : float
+        Standard deviation of the position, metres.
 
     Raises
     ------
     OffMapError
         The place is off the map or on a hole, or the elevation lies more than 200 m below all
-        ground within ``within_m``.
+        ground within ``position_sd_m``.
     InputError
-        ``within_m`` is not above 0, or above 500 m, the elevation is not from -500 to 20,000 m, or
-        the DEM cannot be read.
+        ``position_sd_m`` is not above 0, or above 500 m, the elevation is not from -500 to
+        20,000 m, or the DEM cannot be read.
     """
 
     def __init__(
@@ -256,23 +257,23 @@ class Orienter(Releasable):
         lon: float,
         lat: float,
         elevation_m: float | None = None,
-        within_m: float = DEFAULT_WITHIN_M,
+        position_sd_m: float = DEFAULT_POSITION_SD_M,
     ) -> None:
-        if not 0.0 < within_m <= _SEARCH.most_within_m:
+        if not 0.0 < position_sd_m <= _SEARCH.most_position_sd_m:
             raise InputError(
-                f"the place is known to {within_m:g} m; expected above 0, at most "
-                f"{_SEARCH.most_within_m:g}: search a wider area with skyline match"
+                f"the standard deviation of the position is {position_sd_m:g} m; expected above "
+                f"0, at most {_SEARCH.most_position_sd_m:g}: search a wider area with skyline match"
             )
         self.terrain = read_dem(dem)
         self.curvature = Curvature()
         self.frame = self.terrain.frame
-        self._within_m = within_m
+        self._position_sd_m = position_sd_m
         ground = stand_at_one(self.terrain, lon=lon, lat=lat, eye_height_m=0.0)
         self._east, self._north = float(ground.easting_m[0]), float(ground.northing_m[0])
         self._ground_m = float(ground.eye_elevation_m[0])
         self._elevation_m = elevation_m
         if elevation_m is not None:
-            lowest_m = self._around(within_m).eye_elevation_m.min() - DEFAULT_EYE_HEIGHT_M
+            lowest_m = self._around(position_sd_m).eye_elevation_m.min() - DEFAULT_EYE_HEIGHT_M
             check_eye_elevation(elevation_m, float(lowest_m))
         views = RenderConfig(VIEW_WIDTH, curvature=self.curvature)
         self._scene = RenderedScene(self.terrain, views)
@@ -292,10 +293,10 @@ class Orienter(Releasable):
 
         By default they stand on the ground.
         """
-        eyes = self._around(self._within_m)
+        eyes = self._around(self._position_sd_m)
         if elevation_m is not None:
             np.maximum(eyes.eye_elevation_m, elevation_m, out=eyes.eye_elevation_m)
-        places = Places.of(self._panoramas.render(eyes), self._within_m / 2.0)
+        places = Places.of(self._panoramas.render(eyes), self._position_sd_m / 2.0)
         return Retriever(places, self._scene.ground_m)
 
     def _standings(self, noted: NotedPlace) -> list[Standing]:
@@ -304,7 +305,7 @@ class Orienter(Releasable):
         if self._elevation_m is not None:
             above_m = max(DEFAULT_EYE_HEIGHT_M, self._elevation_m - self._ground_m)
             return [Standing(EyeHeightPrior(above_m, height_sd_m), self._elevation_m)]
-        reliefs_m = self._relief_m(self._within_m), self._relief_m(_SEARCH.takeoff_m)
+        reliefs_m = self._relief_m(self._position_sd_m), self._relief_m(_SEARCH.takeoff_m)
         ground = KnownGround(self._ground_m, *reliefs_m, height_sd_m)
         return Standing.of_noted(noted, ground)
 
@@ -382,7 +383,7 @@ class Orienter(Releasable):
         known = PlacePrior(
             self._east,
             self._north,
-            self._within_m,
+            self._position_sd_m,
             elevation_m=standing.elevation_m,
             elevation_sd_m=standing.elevation_sd_m,
         )
@@ -464,11 +465,11 @@ class Orienter(Releasable):
 
     def _far(self, moved_m: float) -> str | None:
         """Return the refusal of a pose far from the place, or None."""
-        if moved_m <= _DOUBTS.far_sds * self._within_m:
+        if moved_m <= _DOUBTS.far_sds * self._position_sd_m:
             return None
         return (
-            f"the best pose is {moved_m:.0f} m from the place, which is known to "
-            f"{self._within_m:g} m; check the place"
+            f"the best pose is {moved_m:.0f} m from the place, whose standard "
+            f"deviation is {self._position_sd_m:g} m; check the place"
         )
 
     def _doubt(self, poses: Poses, pose: Pose, sure: float) -> str | None:
@@ -495,9 +496,9 @@ def orienters(terrain: HeightField) -> Iterator[Callable[[Place], Orienter]]:
 
     def orienter_at(place: Place) -> Orienter:
         if place not in made:
-            lon, lat, elevation_m, within_m = place
+            lon, lat, elevation_m, position_sd_m = place
             made[place] = Orienter(
-                terrain, lon=lon, lat=lat, elevation_m=elevation_m, within_m=within_m
+                terrain, lon=lon, lat=lat, elevation_m=elevation_m, position_sd_m=position_sd_m
             )
             while len(made) > 1:
                 made.pop(next(iter(made))).release()
@@ -536,13 +537,13 @@ def orient(
     lon: float | None = None,
     lat: float | None = None,
     elevation_m: float | None = None,
-    within_m: float | None = None,
+    position_sd_m: float | None = None,
     fov_deg: float | None = None,
 ) -> Orientation:
     """Find how a photo's camera was held at a known place.
 
     See `Orienter`. Without ``lon`` and ``lat`` the photo's own GPS position is the place, with the
-    error that the photo notes.
+    standard deviation that the photo notes.
 
     Raises
     ------
@@ -558,9 +559,11 @@ def orient(
     name, skyline = named_skyline(photo, fov_deg)
     if lon is None or lat is None:
         lon, lat, _, noted_m = noted_place(skyline, name)
-        within_m = noted_m if within_m is None else within_m
-    within_m = DEFAULT_WITHIN_M if within_m is None else within_m
-    with Orienter(dem, lon=lon, lat=lat, elevation_m=elevation_m, within_m=within_m) as orienter:
+        position_sd_m = noted_m if position_sd_m is None else position_sd_m
+    position_sd_m = DEFAULT_POSITION_SD_M if position_sd_m is None else position_sd_m
+    with Orienter(
+        dem, lon=lon, lat=lat, elevation_m=elevation_m, position_sd_m=position_sd_m
+    ) as orienter:
         return orienter.orient(skyline, name=name)
 
 
@@ -574,4 +577,4 @@ def noted_place(skyline: PhotoSkyline, name: str) -> Place:
         raise InputError(
             f"{printable(name)} notes no GPS position{aside}; give the place: --at LON,LAT"
         )
-    return (*skyline.noted.lonlat_deg, None, position_sd_m(skyline.noted))
+    return (*skyline.noted.lonlat_deg, None, noted_position_sd_m(skyline.noted))

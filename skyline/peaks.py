@@ -416,10 +416,10 @@ def ground_elevation_deg(
     grid_rad: Float64Array,
     distance_m: Float64Array,
 ) -> Float64Array:
-    """Return elevation angles of the ground along rays of one eye, (K, D).
+    """Return the ground's elevation angles (K, D) along rays.
 
-    The angle is -90 without data. The rays have grid azimuths (K,); the horizontal distances are
-    (D,) or (K, D).
+    The rays are of one eye. The angle is -90 without data. The rays have grid azimuths (K,); the
+    horizontal distances are (D,) or (K, D).
     """
     ground_m = terrain.height_at(
         easting_m=eye.easting_m[0] + distance_m * np.sin(grid_rad)[:, np.newaxis],

@@ -217,9 +217,10 @@ class Pose:
     def to_dict(self) -> dict[str, Any]:
         """Return the pose's record, as ``skyline match --json`` prints it.
 
-        `NotedPose.from_dict` reads it.
+        A number that is not finite, which JSON cannot hold, is None, as is what is not known.
+        `NotedPose.from_dict` reads the record.
         """
-        return {name: getattr(self, name) for name in _WRITTEN}
+        return {name: _finite(getattr(self, name)) for name in _WRITTEN}
 
     def cells(self) -> list[str]:
         """Return the values of `COLUMNS` as text.
@@ -283,8 +284,10 @@ class NotedPose:
         InputError
             The record is no pose, or has values that no camera of the projection has.
         """
-        if not isinstance(record, Mapping) or any(record.get(name) is None for name in _NEEDED):
+        if not isinstance(record, Mapping):
             raise InputError(f"{source} has no pose; {EXPECTED_RECORD}")
+        if lacking := [name for name in _NEEDED if record.get(name) is None]:
+            raise InputError(f"{source} has no {', '.join(lacking)}; {EXPECTED_RECORD}")
         given: dict[str, Any] = {
             name: _number(record[name], name, source)
             for name in (*_NEEDED, *_OPTIONAL)
@@ -312,7 +315,10 @@ class NotedPose:
 
 
 def _wander_in(record: Mapping[str, Any], source: str) -> tuple[float, ...]:
-    """Return a record's wander of a panorama's rows; raises `InputError` for no list."""
+    """Return a record's wander of a panorama's rows.
+
+    Raises `InputError` unless the wander is missing or a list of the right length.
+    """
     wander = record.get("wander") or []
     if not isinstance(wander, list | tuple) or len(wander) not in {0, len(WANDER_DEGREES)}:
         raise InputError(
@@ -541,6 +547,13 @@ class Poses(Rows):
             left &= (np.abs(place - place[index]) >= separation_m) | (turn > turn_deg)
             left[index] = False
         return np.array(chosen, dtype=np.intp)
+
+
+def _finite(value: Any) -> Any:
+    """Return a value, or None for numbers that are not finite."""
+    numbers = value if isinstance(value, tuple) else (value,)
+    is_finite = all(math.isfinite(one) for one in numbers if isinstance(one, float))
+    return value if is_finite else None
 
 
 def _tuple(value: Any) -> Any:

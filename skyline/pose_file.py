@@ -1,6 +1,7 @@
 """Poses in files, as commands print them and people write them."""
 
 import json
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ from skyline.camera import Projection
 from skyline.errors import InputError, printable
 from skyline.files import read_bytes
 from skyline.pose import EXPECTED_RECORD, NotedPose
+from skyline.store.read import is_store
 
 
 def read_pose(path: Path, photo: Path, projection: Projection) -> NotedPose:
@@ -21,8 +23,10 @@ def read_pose(path: Path, photo: Path, projection: Projection) -> NotedPose:
     record = _record_of(_records_in(path), path, photo)
     doubt = ""
     if isinstance(record, dict) and isinstance(record.get("candidates"), list):
-        candidates = record["candidates"] or [None]
-        if record.get("answer") is None and candidates[0] is not None:
+        candidates = record["candidates"]
+        if not candidates:
+            raise InputError(f"pose {path} is of a match that found no place; give another pose")
+        if record.get("answer") is None:
             doubt = f"{path} has no answer, so the best candidate is taken"
         record = record.get("answer") or candidates[0]
     elif isinstance(record, dict) and record.get("refusal"):
@@ -32,18 +36,27 @@ def read_pose(path: Path, photo: Path, projection: Projection) -> NotedPose:
 
 def _records_in(path: Path) -> list[Any]:
     """Return what a file of JSON or of lines of JSON has."""
+    content = read_bytes(path, EXPECTED_RECORD)
+    if not content.strip():
+        raise InputError(f"pose {path} is empty; {EXPECTED_RECORD}")
     try:
-        text = read_bytes(path, EXPECTED_RECORD).decode("utf-8-sig")
-        try:
-            return [json.loads(text)]
-        except ValueError:
-            return [json.loads(line) for line in filter(str.strip, text.splitlines())]
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        kind = "a store" if is_store(path) else "a binary file, as photos are"
+        raise InputError(f"pose {path} is {kind}; {EXPECTED_RECORD}") from None
+    try:
+        return [json.loads(text)]
     except (ValueError, RecursionError) as error:
-        raise InputError(f"pose {path} cannot be read ({error}); {EXPECTED_RECORD}") from None
+        with suppress(ValueError, RecursionError):
+            return [json.loads(line) for line in filter(str.strip, text.splitlines())]
+        raise InputError(f"pose {path} is not JSON ({error}); {EXPECTED_RECORD}") from None
 
 
 def _record_of(records: list[Any], path: Path, photo: Path) -> Any:
-    """Return the record of a photo; None if there is none in a file without records."""
+    """Return the record of a photo; None in a file without records.
+
+    Raises `InputError` unless one of several records is of the photo.
+    """
     if len(records) <= 1:
         return records[0] if records else None
     named = {"photo": printable(photo)}

@@ -1,8 +1,8 @@
-"""Skylines of many eyes, in 90 degree views or all the way round.
+"""Skylines of many eyes, in views or all the way round.
 
-A view is that of an ideal pin-hole camera, as in the paper's section 4.1. World axes are X = east,
-Y = up, Z = north; camera axes are x = right, y = up, z = forward. Both are left-handed, so every
-rotation here has determinant +1.
+A view is taken by an ideal pin-hole camera with a field of view of 90 degrees, as in the paper's
+section 4.1. World axes are X = east, Y = up, Z = north; camera axes are x = right, y = up, z =
+forward. Both are left-handed, so every rotation here has determinant +1.
 """
 
 from dataclasses import dataclass, replace
@@ -62,7 +62,10 @@ def pixel_size(width: int) -> float:
 
 
 def rotation(heading: int) -> Float64Array:
-    """Return R_heading (3, 3): world (east, up, north) to camera (right, up, forward)."""
+    """Return the rotation R_heading (3, 3) from world to camera.
+
+    World axes are (east, up, north), and camera axes (right, up, forward).
+    """
     # Quarter turns have exact sines; np.sin(pi) would leave 1e-16 behind.
     sine = (0.0, 1.0, 0.0, -1.0)[heading]
     cosine = (1.0, 0.0, -1.0, 0.0)[heading]
@@ -106,7 +109,7 @@ class Views(Rows):
         return int(self.v.shape[1])
 
     def azimuth_deg(self) -> Float64Array:
-        """Return grid azimuths of the columns, shape (N, W), degrees in [0, 360).
+        """Return grid azimuths (N, W) of the columns, degrees in [0, 360).
 
         `skyline.Frame.convergence_deg` plus these are the azimuths from true north.
         """
@@ -164,12 +167,12 @@ def raised_to_dip(
 def joined_views(
     views: Views, row: IntArray, count: int, bins: int
 ) -> tuple[Float64Array, Float64Array]:
-    """Return elevation tangents and horizontal distances (M, B) of views joined by eye.
+    """Return the skylines (M, B) of views that are joined by eye.
 
-    ``row`` (N,) is the index of each view's eye; there are ``count`` eyes (M). Directions without a
-    view, or without data, are NaN. On the border of the data and behind a hole the skyline is a
-    lower bound. It is used as it is: farther terrain may rise above it in the photo, as a tree may
-    anywhere.
+    They are elevation tangents and horizontal distances. ``row`` (N,) is the index of each view's
+    eye; there are ``count`` eyes (M). Directions without a view, or without data, are NaN. On the
+    border of the data and behind a hole the skyline is a lower bound. It is used as it is: farther
+    terrain may rise above it in the photo, as a tree may anywhere.
     """
     y, nearest, cosine = quadrants(views, bins, FLAG_NO_DATA, np.float64)
     distance = views.depth_m[:, nearest].astype(np.float64) / cosine
@@ -203,17 +206,20 @@ def quadrants(
 
 
 def quadrant_bins(heading: NDArray[np.integer], bins: int) -> IntArray:
-    """Return the bins (N, B / 4) of the full turn that views along headings (N,) cover."""
+    """Return the bins (N, B / 4) that views cover.
+
+    The bins are of the full turn; the views look along headings (N,).
+    """
     quarter = bins // 4
     first = heading[:, np.newaxis].astype(np.intp) * quarter - quarter // 2
     return (first + np.arange(quarter)) % bins
 
 
 def bin_azimuths_rad(bins: int) -> Float64Array:
-    """Return the grid azimuths (B,) of the bins' centres, radians clockwise from north.
+    """Return the grid azimuths (B,) of the bins' centres.
 
-    Bin b is centred at 360 (b + 1/2) / B degrees, so that a quarter of the bins lies wholly in
-    each of the four 90 degree views.
+    Azimuths are in radians, clockwise from north. Bin b is centred at 360 (b + 1/2) / B degrees, so
+    that a quarter of the bins lies wholly in each of the four 90 degree views.
     """
     return np.asarray((np.arange(bins) + 0.5) * (2.0 * np.pi / bins), dtype=np.float64)
 
@@ -232,7 +238,7 @@ def quadrant_azimuths_rad(bins: int) -> Float64Array:
 class Horizons(Rows):
     """The skylines of N eyes in B bins of azimuth.
 
-    The bins are those of `bin_azimuths_rad`, unless others are named.
+    The bins lie at `bin_azimuths_rad`, unless others are named.
 
     Attributes
     ----------
@@ -269,7 +275,7 @@ def polyline_vertices(
     Where a curve has more than ``max_vertices``, the most significant stay. A vertex is as
     significant as the miss that made it is large, but never more than the vertex whose segment it
     splits; so the vertices that stay are the polyline of a coarser tolerance. The ends of runs come
-    first, those of longer runs before others.
+    first, and the ends of longer runs before the ends of shorter ones.
 
     Curves are (N, W), W below 65535; NaN marks a gap. The tolerance is in their unit; 0 keeps every
     bend. Columns (N, max_vertices) ascend and are padded with `NO_KEYPOINT`.
@@ -343,7 +349,10 @@ def _worst_miss(
 def _most_significant(
     position: IntArray, shape: tuple[int, int], max_vertices: int
 ) -> NDArray[np.uint16]:
-    """Return a padded table of columns from flat indices in (row, significance) order."""
+    """Return the most significant columns of each row as a padded table.
+
+    ``position`` has flat indices in order of row and significance.
+    """
     count, width = shape
     row = position // width
     per_row = np.bincount(row, minlength=count)

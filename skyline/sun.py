@@ -53,9 +53,9 @@ def sun_above(
 ) -> list[Interval]:
     """Return when part of the sun's disc is above a horizon.
 
-    The day is the 24 hours around noon of the mean sun at the eye. Refraction is that of the
-    standard atmosphere at the eye's elevation. An interval shorter than a minute may be missed.
-    Times are in UTC, to a tenth of a second.
+    The day is the 24 hours around noon of the mean sun at the eye. The standard atmosphere at the
+    eye's elevation refracts the light. An interval shorter than a minute may be missed. Times are
+    in UTC, to a tenth of a second.
 
     Parameters
     ----------

@@ -1,9 +1,9 @@
-"""CSV tables: viewpoints, gazetteers, lists of photos and traces are all read here.
+"""Reading of CSV tables.
 
-Cells are separated by the most frequent of comma, semicolon and tab in the header. With semicolons
-or tabs, numbers may have decimal commas, and points between thousands beside them. Lines before the
-header that begin with # are notes. An apostrophe that keeps a text from being a formula is taken
-off.
+Viewpoints, gazetteers, lists of photos and traces are all such tables. Cells are separated by the
+most frequent of comma, semicolon and tab in the header. With semicolons or tabs, numbers may have
+decimal commas, and points between thousands beside them. Lines before the header that begin with #
+are notes. An apostrophe that keeps a text from being a formula is taken off.
 """
 
 import csv
@@ -91,7 +91,7 @@ class Row:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """The rows of a CSV file, its header and the notes before it."""
+    """The notes, the header and the rows of a CSV file."""
 
     path: str | Path
     header: tuple[str, ...]

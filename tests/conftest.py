@@ -88,7 +88,7 @@ def no_gl_error():
 
 @pytest.fixture(scope="module")
 def refined_quickly():
-    """Refine no query thoroughly: commands are to run here, other tests hold their answers."""
+    """Refine no photo thoroughly: commands are to run here, other tests hold their answers."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(search, "WHOLE", search.QUICK)
         patch.setattr(search.FullMatcher, "sure_margin", -math.inf)

@@ -1,9 +1,12 @@
 """Synthetic mountain photos whose skyline is known to a fraction of a pixel."""
 
 from dataclasses import dataclass
+from types import SimpleNamespace
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
+from scenes import write_dem
 from scipy import ndimage
 
 from skyline.arrays import Float64Array
@@ -127,3 +130,55 @@ def make_scene(kind: str, seed: int, width: int = 960, height: int = 640) -> Sce
 
 
 KINDS = ("clear", "haze", "clouds", "noise", "snow", "snow_white_sky", "layers", "poles")
+
+
+HEIC = b"\x00\x00\x00\x18ftypheic\x00\x00\x00\x00" + b"\x00" * 99
+"""The first bytes of a photo that Pillow does not read."""
+
+
+def photo_folder(folder):
+    """Fill a folder with photos and nine other files; return the names of the photos."""
+    picture = Image.new("RGB", (40, 30))
+    photos = ["IMG_0001", "scan.tif", "pano.insp", "trip/day 2/b.JPG", "c.gif"]
+    for name in photos:
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        picture.save(folder / name, {"gif": "GIF", "tif": "TIFF"}.get(name[-3:], "JPEG"))
+    (folder / "d.HIF").write_bytes(HEIC.replace(b"heic", b"heix"))
+    (folder / "damaged.jpg").write_bytes(b"")
+    picture.save(folder / "raw.cr2", format="TIFF")
+    write_dem(folder / "map.tif", np.ones((30, 40), np.float32))
+    picture.save(folder / "video.THM", format="JPEG")
+    (folder / "video.mp4").write_bytes(b"\x00\x00\x00\x18ftypmp42" + bytes(99))
+    for name in ("Thumbs.db", "a.json", "a.xmp", "b.xmp", "trace.csv"):
+        (folder / name).write_text("<x:xmpmeta/>")
+    for hidden in (".thumbnails", "__MACOSX", "@eaDir"):
+        (folder / hidden).mkdir()
+        picture.save(folder / hidden / "e.jpg")
+    return [*photos, "d.HIF", "damaged.jpg"]
+
+
+@dataclass
+class BlueSky:
+    """A sky model that takes what is bluer than red for sky, at a slope of the threshold."""
+
+    size: tuple[object, object] = ("h", "w")
+    form: str = "probability"
+    seen: tuple[int, ...] = ()
+
+    def get_inputs(self):
+        return [SimpleNamespace(name="photo", shape=[1, 3, *self.size])]
+
+    def run(self, names, feed):
+        photo = feed["photo"]
+        assert photo.dtype == np.float32
+        assert 0.0 <= photo.min() <= photo.max() <= 1.0
+        self.seen = photo.shape
+        logit = 40.0 * (photo[:, 2:] - photo[:, :1] - 0.08)
+        sky = 1.0 / (1.0 + np.exp(-logit))
+        return {
+            "probability": [sky],
+            "flat": [sky[:, 0]],
+            "two": [np.concatenate([1.0 - sky, sky], axis=1)],
+            "logits": [logit],
+            "two logits": [np.concatenate([-logit / 2.0, logit / 2.0], axis=1)],
+        }[self.form]

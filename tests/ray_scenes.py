@@ -1,4 +1,4 @@
-"""Queries whose pose is known."""
+"""Rays of skylines whose pose is known."""
 
 from dataclasses import replace
 
@@ -37,9 +37,9 @@ def equally_trusted(u, v, fov_deg):
 
 
 def rays_of(u, v, fov_deg, assumed_fov_deg=None, fov_range_deg=None):
-    """Return a query whose field of view was assumed to be another one."""
-    query = Rays(u=u, v=v, weight=np.ones_like(u), fov_deg=fov_deg, fov_range_deg=(1.0, 179.0))
-    return replace(query.with_fov(assumed_fov_deg or fov_deg), fov_range_deg=fov_range_deg)
+    """Return rays whose field of view was assumed to be another one."""
+    rays = Rays(u=u, v=v, weight=np.ones_like(u), fov_deg=fov_deg, fov_range_deg=(1.0, 179.0))
+    return replace(rays.with_fov(assumed_fov_deg or fov_deg), fov_range_deg=fov_range_deg)
 
 
 def swept(

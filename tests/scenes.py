@@ -93,6 +93,12 @@ def write_dem(path, heights, crs=UTM, tags=None, **options):
     return path
 
 
+def across_antimeridian(path):
+    """Write a DEM of which UTM 60 S has the antimeridian at easting 819,450; return its path."""
+    grid = Affine(SPACING_M, 0.0, 817_650.0, 0.0, -SPACING_M, 8_119_650.0)
+    return write_dem(path, fractal(110, 120), "EPSG:32760", transform=grid)
+
+
 def geotiff_of(heights, *given, **options):
     """Return the bytes of a GeoTIFF; see `write_dem`."""
     with MemoryFile() as memory:

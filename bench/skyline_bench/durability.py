@@ -1,4 +1,7 @@
-"""Durability: builds that are killed, stores whose bits flip, and damaged files of every kind."""
+"""Durability of builds, stores and commands.
+
+Builds are killed, bits of stores flip, and files of every kind are damaged.
+"""
 
 import contextlib
 import io
@@ -43,13 +46,13 @@ from skyline_bench.records import write_record
 from skyline_bench.search.stores import middle_deg
 
 _SIDE_M, _QUICK_SIDE_M = 5000.0, 2000.0
-"""Of the area that is built again and again."""
+"""Sides of the area that is built again and again, by default and with ``--quick``."""
 _JOB_OF_PLACES = JobSize(256, 64)
 _JOB_OF_VIEWS = JobSize(16, 4)
 _PART = PartSize(seconds=0.05)
 """Jobs and parts of a fraction of a second, so that builds are killed between many of them."""
 _LONGER = 1.3
-"""A build is killed at some time within so many times what an unbroken one takes."""
+"""A build is killed within the time of an unbroken build, times this."""
 _KILLS_A_BUILD = 3
 _READ_S, _COMMAND_S = 30, 60
 """A reader, or a command, that takes longer on such small files hangs."""
@@ -79,7 +82,7 @@ def _plans(terrain: HeightField, bounds_deg: Bounds) -> _Plans:
 
 
 def _start(terrain: HeightField, path: Path, plan: Plan, workers: int) -> ForkProcess:
-    """Start a build in a process of its own, which leads a group of processes."""
+    """Start a build in a process that leads a group."""
 
     def work() -> None:
         os.setsid()
@@ -126,7 +129,10 @@ def _kills(terrain: HeightField, kinds: _Plans, builds: int, folder: Path) -> It
 
 
 def _kept(path: Path) -> dict[int, float]:
-    """Return how many rows of each job are in whole parts; infinite for a finished job."""
+    """Return how many rows of each job are in whole parts.
+
+    The number is infinite for a finished job.
+    """
     kept: dict[int, float] = {}
     for part in parts_folder(path).rglob("*-of-*.h5"):
         first, last = map(int, re.findall("[0-9]+", part.name)[:2])
@@ -154,7 +160,7 @@ def _flips(whole: Path, folder: Path, flips: int) -> Row:
 
     Of the ``flips``, ``harmful`` ones change rows or keep them from being read, and ``found`` ones
     of these are found by `skyline store check`. ``silent`` ones get past readers of renderings, and
-    past `take` of places; ``crashes`` are those and hangs of readers and of the check.
+    past `take` of places; ``crashes`` are crashes and hangs of readers and of the check.
     """
     generator = np.random.default_rng(0)
     data = bytearray(whole.read_bytes())
@@ -178,7 +184,10 @@ def _flips(whole: Path, folder: Path, flips: int) -> Row:
 
 
 def _mutations(whole: Path, folder: Path, cases: int) -> Row:
-    """Read mutated copies of a store; each must be read, or refused in one line."""
+    """Read mutated copies of a store.
+
+    Each must be read, or refused in one line.
+    """
     generator = np.random.default_rng(0)
     tally = Counter[str]()
     data = whole.read_bytes()
@@ -191,7 +200,7 @@ def _mutations(whole: Path, folder: Path, cases: int) -> Row:
 
 
 def _read_as(path: Path, whole: Path) -> str:
-    """Read a store and return whether its rows are those of another."""
+    """Read a store and return whether it has the rows of another."""
     try:
         with open_store(path) as store, open_store(whole) as reference:
             if store.header.holds == PLACES:
@@ -206,7 +215,10 @@ def _read_as(path: Path, whole: Path) -> str:
 
 
 def mutated(data: bytes, generator: np.random.Generator) -> bytes:
-    """Return bytes with one kind of random damage, more often than not near their beginning."""
+    """Return bytes with one kind of random damage.
+
+    More often than not the damage is near their beginning.
+    """
     changed = bytearray(data)
 
     def place() -> int:
@@ -239,7 +251,10 @@ def mutated(data: bytes, generator: np.random.Generator) -> bytes:
 
 
 def _command(arguments: list[object]) -> str:
-    """Run a command; return "answered", "refused", or a description of any other end."""
+    """Run a command, and return how it ended.
+
+    The end is "answered", "refused", or a description of any other.
+    """
     errors = io.StringIO()
     sys.argv = ["skyline", *map(str, arguments)]
     code: object = 0
@@ -294,7 +309,10 @@ def _good_files(folder: Path) -> dict[str, tuple[bytes, _Command]]:
 
 
 def _damaged_files(cases: int, seed: int) -> Iterator[Row]:
-    """Yield how many of so many damaged files of each kind were answered, and how many refused."""
+    """Yield how commands ended on damaged files, by kind of file.
+
+    For ``cases`` files of each kind, these are the numbers answered, refused and wrong.
+    """
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         for suffix, (data, command) in _good_files(folder).items():
@@ -321,9 +339,10 @@ _FORK = multiprocessing.get_context("fork")
 
 
 def outcome_of(work: Callable[[], str], limit_s: int) -> str:
-    """Return the text of work in a process of its own, or "raised", "hang" or "crash".
+    """Return the text of work that runs in another process.
 
-    This process must not render: OpenGL does not outlive a fork.
+    If the work fails, the text is "raised", "hang" or "crash". This process must not render, since
+    OpenGL does not outlive a fork.
     """
     receiving, sending = _FORK.Pipe(duplex=False)
     with receiving, sending:
@@ -379,7 +398,10 @@ def input_fuzz(
     seed: options.Seed = 0,
     quick: Annotated[bool, options.quick_with(cases=10)] = False,
 ) -> None:
-    """Damaged DEMs, viewpoint lists, traces and images: one line and exit 2, or an answer."""
+    """Damaged DEMs, viewpoint lists, traces and images.
+
+    Each must end with one line and exit code 2, or with an answer.
+    """
     rows: list[Row] = []
     for row in _damaged_files(cases, seed):
         rows.append(row)

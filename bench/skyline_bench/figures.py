@@ -1,6 +1,7 @@
-"""The figures of the pages: tables and sentences, the code's constants, and three pictures.
+"""The figures and pictures of the pages.
 
-Tables, sentences and diagrams are written from records, so that a figure shown has been measured.
+Tables, sentences and diagrams are written from records, so that every figure has been measured.
+Constants are written from the code.
 """
 
 import tempfile
@@ -57,8 +58,8 @@ def figures(
     """The tables, figures and diagrams of README.md and docs/, from the records.
 
     Tables are written between the lines <!-- figures: NAME --> and
-    <!-- end of figures -->, figures into the sentences that have them, and constants and equations
-    of the code beside the comments that name them.
+    <!-- end of figures -->, figures into the sentences that have them, and
+    constants and equations of the code beside the comments that name them.
     """
     records = Results(results)
     for page in pages_in(out):
@@ -125,7 +126,10 @@ def readme_picture(
     record: options.Record = None,
     quick: options.Quick = False,
 ) -> None:
-    """The README's picture: a photo drawn of the sample terrain, and the place found for it."""
+    """The README's picture: a drawn photo and its place.
+
+    The photo shows the sample terrain.
+    """
     with tempfile.TemporaryDirectory() as name:
         terrain = read_dem([write_sample_dem(Path(name) / "sample.tif")])
         store = Path(name) / "places.h5"

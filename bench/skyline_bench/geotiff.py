@@ -1,4 +1,7 @@
-"""Elevation models written as files, one of them real and always at hand."""
+"""Elevation models written as GeoTIFF files.
+
+One of them is real and always at hand.
+"""
 
 from pathlib import Path
 
@@ -16,9 +19,10 @@ def write_geotiff(
     west_north: tuple[float, float],
     step: tuple[float, float],
 ) -> Path:
-    """Write heights (rows, cols), row 0 north, as a GeoTIFF; return its path.
+    """Write heights (rows, cols) as a GeoTIFF, and return its path.
 
-    ``west_north`` is the outer corner of the first cell, ``step`` a cell's size east and south.
+    Row 0 is the northernmost. ``west_north`` is the outer corner of the first cell, ``step`` a
+    cell's size east and south.
     """
     shape = {"width": heights.shape[1], "height": heights.shape[0], "count": 1}
     transform = Affine(step[0], 0.0, west_north[0], 0.0, -step[1], west_north[1])

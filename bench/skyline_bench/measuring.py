@@ -1,6 +1,6 @@
-"""Measuring: times and memory of rival programs, areas, and how values are shown.
+"""Measuring of times, memory and areas, and texts of values.
 
-Each program has all cores and a warm-up, and they take turns.
+Rival programs are timed alike. Each program has all cores and a warm-up, and they take turns.
 """
 
 import os
@@ -27,7 +27,10 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """The time of a piece of work, or the medians of its repeats."""
+    """The time of a piece of work.
+
+    If the work was repeated, it is the median of the repeats.
+    """
 
     seconds: float  # Wall-clock time
     cpu_seconds: float  # Processor time of the whole process, all its threads
@@ -52,7 +55,7 @@ def window_of(apart_m: float, *spacings_m: float) -> list[int]:
 
 
 def central_viewpoints(terrain: HeightField, count: int, spacing_m: float) -> Viewpoints:
-    """Return up to ``count`` viewpoints of a square grid in a DEM's middle."""
+    """Return up to ``count`` viewpoints on a grid in a DEM's middle."""
     side = int(np.ceil(np.sqrt(count)))
     west, south, east, north = terrain.bounds_m
     half_m = (side - 0.5) / 2.0 * spacing_m
@@ -101,16 +104,17 @@ def timed(work: Callable[[], Result]) -> tuple[Result, Timing]:
 
 
 def _ticked(work: Callable[[], object], tick: Callable[[], object]) -> tuple[float, float]:
-    """Return the wall-clock and the processor time of work, and tick after it."""
+    """Return the wall-clock and processor time of work; tick after it."""
     _, timing = timed(work)
     tick()
     return timing.seconds, timing.cpu_seconds
 
 
 def peak_bytes() -> int | None:
-    """Return the greatest resident memory of this process so far; None where unknown.
+    """Return the greatest resident memory of this process so far.
 
-    Pages of mapped files count, which the system may drop when it needs them.
+    None where it is unknown. Pages of mapped files count, which the system may drop when it needs
+    them.
     """
     try:
         status = Path("/proc/self/status").read_text(encoding="utf-8")
@@ -121,7 +125,10 @@ def peak_bytes() -> int | None:
 
 
 def shown(value: object) -> str:
-    """Return a value as tables show it: three digits, or all before the point."""
+    """Return a value as tables show it.
+
+    It has three digits, or all digits before the point.
+    """
     if value is None:
         return "-"
     if isinstance(value, float):

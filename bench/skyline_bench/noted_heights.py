@@ -1,8 +1,8 @@
 """Made photos that note heights, from the air and from the ground.
 
-Those from the air are of drones, towers and balloons. A drone notes its height above its take-off
-and the altitude of its barometer. Other photos note an altitude alone, many above the ellipsoid, as
-if it were above the sea.
+Photos from the air are taken from drones, towers and balloons. A drone notes its height above its
+take-off and the altitude of its barometer. Other photos note an altitude alone, many above the
+ellipsoid, as if it were above the sea.
 """
 
 import math
@@ -48,9 +48,10 @@ def height_rows(
     count: int,
     seed: int,
 ) -> list[dict[str, Any]]:
-    """Return a row for each kind of photos that note heights, ``count`` of each.
+    """Return a row for each kind of photos that note heights.
 
-    The photos see ``seen``, and are oriented at places beside those where they were taken.
+    There are ``count`` photos of each kind. The photos see ``seen``, and are oriented at places
+    beside those where they were taken.
     """
     return [
         {"measured": MEASURED, "group": group}
@@ -108,7 +109,10 @@ _GROUPS = {"drones": _of_drone, "aloft": _aloft, "on the ground": _grounded}
 
 
 def _summary(tried: Sequence[_Tried]) -> dict[str, Any]:
-    """Return how many are answered, and how far off the answers' headings and eyes are."""
+    """Return how many photos are answered, and how well.
+
+    The figures say how far off the headings and the eyes of the answers are.
+    """
     answers = [(truth, one.answer) for truth, one, _ in tried if one.answer is not None]
     off_deg = np.array(
         [abs(in_turn(pose.grid_heading_deg - truth.heading_deg)) for truth, pose in answers]

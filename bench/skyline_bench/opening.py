@@ -1,4 +1,7 @@
-"""Opening: how long one answer takes in a new process, the first time and again."""
+"""Opening: what one answer takes in a new process.
+
+The first answer about a DEM is timed, and the next.
+"""
 
 import os
 import resource
@@ -38,7 +41,7 @@ def opening(
     quick: Annotated[bool, options.quick_with(side_km=2.0, rounds=1)] = False,
     crs: options.Crs = None,
 ) -> None:
-    """One answer in a new process: seconds for the first one about a DEM, and for the next.
+    """One answer in a new process: the first about a DEM, and the next.
 
     Before the first run of `horizon` and `orient` nothing is known of the DEM; `match` searches a
     store of the DEM's middle, whose build has read it. The trace is a synthetic query's. Files stay
@@ -71,7 +74,10 @@ def opening(
 
 
 def _middle_of(terrain: HeightField, reach_m: float) -> Rectangle:
-    """Return the square in a DEM's middle that reaches so far to each side, within the DEM."""
+    """Return the square in a DEM's middle.
+
+    It reaches ``reach_m`` to each side, but not out of the DEM.
+    """
     west, south, east, north = terrain.bounds_m
     across_m = min(reach_m, (east - west) / 2.0)
     along_m = min(reach_m, (north - south) / 2.0)
@@ -92,7 +98,10 @@ def _commands(
     seed: int,
     folder: Path,
 ) -> Mapping[str, Sequence[str]]:
-    """Return the commands to measure; their store and their trace are made here."""
+    """Return the commands to measure.
+
+    Their store and their trace are made here.
+    """
     (query,) = make_queries(terrain, box_m, 1, seed)
     trace = folder / "query.csv"
     write_trace(query.skyline, trace)
@@ -114,7 +123,10 @@ def _commands(
 
 
 def _cache(name: str, folder: Path, number: int) -> Path | None:
-    """Return an empty cache for a round; None for the one that the build has left."""
+    """Return the empty cache of a round.
+
+    It is None for a command that uses the cache which the build of its store has left.
+    """
     if name == "match":
         return None
     cache = folder / f"cache-{number}"
@@ -123,7 +135,10 @@ def _cache(name: str, folder: Path, number: int) -> Path | None:
 
 
 def _run(words: Sequence[str], cache: Path | None, folder: Path) -> tuple[float, float]:
-    """Run a command in a new process; return its wall-clock and processor time, seconds."""
+    """Run a command in a new process.
+
+    Returns its wall-clock and its processor time, seconds.
+    """
     environment = dict(os.environ)
     if cache is not None:
         environment["SKYLINE_CACHE"] = str(cache)

@@ -1,4 +1,4 @@
-"""Shared by the commands: options, checks of files to be written, and tables."""
+"""Options, checks of outputs, and tables that the commands share."""
 
 import re
 import tempfile
@@ -21,13 +21,19 @@ _PIPED_WIDTH = 300
 
 
 def read_here(context: typer.Context, param: CallbackParam, value: Any) -> Any:
-    """Take files or folders that a command reads: their digests are in its record."""
+    """Note files or folders that a command reads.
+
+    Their digests are in the command's record.
+    """
     note_files(context, param, READ)
     return value
 
 
 def written_here(context: typer.Context, param: CallbackParam, path: Path | None) -> Path | None:
-    """Refuse a file that could not be written, before the measurement and not after it."""
+    """Refuse a file that could not be written.
+
+    It is refused before the measurement and not after it.
+    """
     note_files(context, param, WRITTEN)
     if path is not None and not path.absolute().parent.is_dir():
         raise InputError(f"{param.opts[0]} {path}: there is no folder {path.parent}; make it first")
@@ -67,7 +73,7 @@ def quick_with(**smaller: Any) -> Any:
 
 Floats = list[float] | None
 Names = list[str] | None
-"""Of options that may be repeated."""
+"""The values of an option that may be repeated."""
 
 Dems = Annotated[
     list[str],
@@ -97,7 +103,10 @@ Crs = Annotated[str | None, Option(help="The DEM's CRS where its file has none, 
 
 @contextmanager
 def store_folder(kept: Path | None) -> Iterator[Path]:
-    """Give a folder for stores: the one named, made if need be, else a temporary one."""
+    """Yield a folder for stores.
+
+    It is the folder named, which is made if need be, else a temporary one.
+    """
     if kept is not None:
         kept.mkdir(parents=True, exist_ok=True)
         yield kept
@@ -109,16 +118,20 @@ def store_folder(kept: Path | None) -> Iterator[Path]:
 def report(
     record: Run | None, rows: Sequence[Row], columns: str | None = None, **about: Any
 ) -> None:
-    """Print the table of a benchmark, and write its record; ``about`` as `write_record`."""
+    """Print the table of a benchmark, and write its record.
+
+    ``about`` is as in `write_record`.
+    """
     print_rows(rows, columns)
     write_record(record, rows, **about)
 
 
 def print_rows(rows: Sequence[Row], columns: str | None = None) -> None:
-    """Print rows as a table; ``columns`` are the keys shown, ``key`` or ``key=heading``, or all.
+    """Print rows as a table.
 
-    Underscores become spaces. Bytes are shown as megabytes, and a value with its interval, which
-    rows have as ``key_low`` and ``key_high``.
+    ``columns`` are the keys shown, as ``key`` or ``key=heading``; by default all. Underscores
+    become spaces. Bytes are shown as megabytes, and a value with its interval, which rows have as
+    ``key_low`` and ``key_high``.
     """
     known = dict.fromkeys(key for row in rows for key in row)
     ends = {f"{key}_{end}" for key in known for end in ("low", "high")}

@@ -1,9 +1,10 @@
-"""Poses at known places: of photographs, made photos and a webcam, and the summits they show.
+"""Poses at known places, and the summits that photos show.
 
-Made photos see the elevation model with errors of 10 m rms added, and the given place is 50 m
-beside the true one: models and phones are off by as much. Unmarked panoramas and fisheyes are given
-as perspective photos, at their places. Strangers are photos of other terrain, with any place
-given. `skyline_bench.noted_heights` makes photos that note heights.
+The photos are photographs, made photos and frames of a webcam. Made photos see the elevation model
+with errors of 10 m rms added, and the given place is 50 m beside the true one: models and phones
+are off by as much. Unmarked panoramas and fisheyes are given as perspective photos, at their
+places. Strangers are photos of other terrain, with any place given. `skyline_bench.noted_heights`
+makes photos that note heights.
 """
 
 import math
@@ -23,7 +24,7 @@ from skyline.cli.terminal import Terminal
 from skyline.errors import InputError, SkylineError
 from skyline.geodesy.bounds import in_turn
 from skyline.geodesy.map_frame import Rectangle
-from skyline.orientation import DEFAULT_WITHIN_M, RIGHT_DEG, Place, orienters
+from skyline.orientation import DEFAULT_POSITION_SD_M, RIGHT_DEG, Place, orienters
 from skyline.render.depth import DepthRenderer
 from skyline.survey.plans import map_bounds
 from skyline.terrain.heightfield import HeightField
@@ -91,11 +92,12 @@ def orient(
     quick: Annotated[bool, options.quick_with(queries=4)] = False,
     crs: options.Crs = None,
 ) -> None:
-    """How cameras stood at known places: photographs, or made photos, labels, pixels and a webcam.
+    """How cameras stood at known places.
 
-    docs/howto/comparing-grids.md has the columns of a manifest. Places are given
-    to 50 m. In the tables, n is the number of photos, photographs or frames, and
-    km2 the area from which made photos come.
+    Photographs are oriented, or else made photos, with summits' names and pixels'
+    places in them, and frames of a webcam. docs/howto/comparing-grids.md has the
+    columns of a manifest. Places are given to 50 m. In the tables, n is the number
+    of photos, photographs or frames, and km2 the area from which made photos come.
     """
     name = photos.stem if photos else Path(dem[0]).stem
     wanted = [one for one in read_manifest(photos) if one.kind != EXTRACT] if photos else []
@@ -148,7 +150,10 @@ def made_rows(
     seed: int,
     progress: Progress,
 ) -> list[Row]:
-    """Return the rows of all that is made: photos, strangers, labels, pixels and a webcam."""
+    """Return the rows of all that is made.
+
+    Photos, strangers, labels, pixels and a webcam are made.
+    """
     seen = perturbed(terrain, seed=seed)
     kinds = 2 + len(UNMARKED) + (strange is not None)
     rng = np.random.default_rng(seed)
@@ -196,7 +201,10 @@ def made_rows(
 def figures_of(
     found: Orientation, heading_deg: float | None = None, fov_deg: float | None = None
 ) -> dict[str, Any]:
-    """Return the figures of an orientation against the true angles, where these are known."""
+    """Return the figures of an orientation.
+
+    It is compared with the true angles, where these are known.
+    """
     pose = found.pose
     off_deg = fov_off = None
     if pose is not None and heading_deg is not None:
@@ -216,7 +224,10 @@ def figures_of(
 
 
 def summarize(rows: Sequence[Row], *, is_strange: bool = False) -> dict[str, Any]:
-    """Return how many are answered, and how good the answers are; a stranger's is wrong."""
+    """Return how many photos are answered, and how well.
+
+    An answer to a stranger is wrong.
+    """
     answered = [row for row in rows if row["answered"]]
     known = [row for row in answered if row["off_deg"] is not None]
     off, sd = (np.array([row[key] for row in known]) for key in ("off_deg", "sd_deg"))
@@ -307,10 +318,13 @@ def _oriented(
     elevation_m: float | None = None,
     fov_deg: float | None = None,
 ) -> Orientation:
-    """Orient a query at a place; one that cannot be read or oriented is refused."""
+    """Orient a query at a place.
+
+    A query that cannot be read or oriented counts as refused.
+    """
     try:
         lon, lat = map(float, lonlat)
-        return orienter_at((lon, lat, elevation_m, DEFAULT_WITHIN_M)).orient(query, fov_deg)
+        return orienter_at((lon, lat, elevation_m, DEFAULT_POSITION_SD_M)).orient(query, fov_deg)
     except SkylineError as error:
         blank = PhotoSkyline(np.full(1, np.nan), np.zeros(1), 1, 1)
         said = str(error)

@@ -71,12 +71,18 @@ def serving(*arguments: object, port: int = 0) -> Iterator[tuple[str, subprocess
 
 
 def address_in(line: str) -> str:
-    """Return the address that opens the page on this machine: the first in the printed line."""
+    """Return the address that opens the page on this machine.
+
+    It is the first address in the printed line.
+    """
     return next(word for word in line.split() if word.startswith("http://"))
 
 
 def headless() -> tuple[Any, Any]:
-    """Return Chromium's options and driver, without a screen or a network beyond this machine."""
+    """Return the options and the driver of a headless Chromium.
+
+    It has no screen, and no network beyond this machine.
+    """
     program = shutil.which("chromium")
     driver = shutil.which("chromedriver")
     try:
@@ -108,7 +114,10 @@ def page(
     record: options.Record = None,
     quick: options.Quick = False,
 ) -> None:
-    """The page in a browser: ready, strokes on 12 megapixels, and the live skyline."""
+    """The page in a browser: start, strokes and the live skyline.
+
+    The strokes are on a photo of 12 megapixels.
+    """
     chrome, driver = headless()
     from selenium.webdriver import Chrome  # noqa: PLC0415  (an extra)
 
@@ -174,7 +183,7 @@ def _in_browser(chromium: Any, address: str, photo: Path, drag_s: float) -> list
 
 
 def _strokes(chromium: Any) -> list[float]:
-    """Paint over the skyline at ten places, and return how long each took, ms."""
+    """Paint over the skyline at ten places; return each time, ms."""
     chromium.execute_script("document.querySelector('input[value=sky]').click()")
     box = chromium.find_element("id", "photo").rect
     for count in range(10):

@@ -45,8 +45,9 @@ def table1(
 ) -> None:
     """The paper's Table 1: viewpoints (A) and overlap (B) of each strategy.
 
-    A, B, the area and the seconds are means over n seeds. The paper's A and B belong to its
-    square of 100 sites a side, and are left out beside another.
+    A, B, the area and the seconds are means over n seeds. The paper's A and B
+    belong to its square of 100 sites a side, and are left out beside a square of
+    another size.
     """
     rows = measure_table1(seeds, side, row or [1, 2, 3])
     columns = "row strategy n paper_A A A_std paper_B B mean_area bound seconds"
@@ -54,12 +55,12 @@ def table1(
 
 
 def measure_table1(seeds: int, side: int, numbers: Sequence[int]) -> list[dict[str, Any]]:
-    """Run the strategies on rows of the table, each with seeds 0, 1, ...
+    """Run the strategies on rows of the table.
 
-    Return for each row and strategy the paper's figures, if its square is as large, and the means
-    and standard deviations over seeds of ``A``, ``B``, ``mean_area`` (of the views rendered) and
-    ``seconds`` (processor time), the mean ``coverage`` that is reached, and ``bound``, the sites
-    to cover divided by ``mean_area``.
+    Each is run with the seeds 0, 1, and so on. Returned are, for each row and strategy, the paper's
+    figures, if its square is as large, and the means and standard deviations over seeds of ``A``,
+    ``B``, ``mean_area`` (of the views rendered) and ``seconds`` (processor time), the mean
+    ``coverage`` that is reached, and ``bound``, the sites to cover divided by ``mean_area``.
     """
     rows = []
     for number in numbers:
@@ -119,11 +120,11 @@ class _Mountain:
     """The mountain of all rows and strategies; lengths are in sites."""
 
     distance: float = 9.0
-    """From the front row of sites to the mountain's near end."""
+    """Distance from the front row of sites to the mountain's near end."""
     breadth: float = 150.0
-    """From end to end."""
+    """Length of the mountain from end to end."""
     height: float = 17.0
-    """Of the peaks above the eyes."""
+    """Height of the peaks above the eyes."""
     setback: float = 18.0
     """How far the peaks stand behind the foot."""
 
@@ -132,7 +133,7 @@ _MOUNTAIN = _Mountain()
 
 
 def mountain_curve(row: Setup, side: int) -> Float32Array:
-    """Return the skyline of the mountain in space, (P, 3): right, up, forward.
+    """Return the mountain's skyline in space (P, 3): right, up, forward.
 
     The mountain stands before the middle of a square of ``side`` rows and columns of sites. Over
     its width stand equal peaks; a point higher on the mountain also stands further back, since a
@@ -151,12 +152,12 @@ def mountain_curve(row: Setup, side: int) -> Float32Array:
 
 
 class Simulation:
-    """A square of sites before a parametric mountain, for one row of Table 1.
+    """A square of sites before a parametric mountain.
 
-    Lengths are in sites (the pitch of the grid), and stand for metres in `skyline.paper`. The
-    eyes look north, over flat ground. A rendering is the upper envelope of the mountain's skyline
-    in the columns of a view. Tolerance areas, and ROV's knowledge of a site, are taken from the
-    package: `skyline.paper.tolerance_areas`.
+    It stands for one row of Table 1. Lengths are in sites (the pitch of the grid), and stand for
+    metres in `skyline.paper`. The eyes look north, over flat ground. A rendering is the upper
+    envelope of the mountain's skyline in the columns of a view. Tolerance areas, and ROV's
+    knowledge of a site, are taken from the package: `skyline.paper.tolerance_areas`.
     """
 
     def __init__(self, row: Setup, side: int = PAPER_SIDE) -> None:
@@ -185,7 +186,10 @@ class Simulation:
         return np.stack([self._u * depth, v * depth, depth], axis=2).astype(np.float64)
 
     def areas(self, points: Float64Array) -> BoolArray:
-        """Return the tolerance areas (N, K, K) of views with skyline points (N, P, 3)."""
+        """Return the tolerance areas (N, K, K) of views.
+
+        The views have skyline points (N, P, 3).
+        """
         window = self.sites.window
         around = np.broadcast_to(self._around, (len(points), window**2, 3))
         warp = tolerance_areas.affine_mean if self.row.affine else tolerance_areas.non_affine
@@ -367,10 +371,10 @@ def measure_quality(field: HeightField, viewpoints: int, seed: int) -> list[Row]
 
 
 def _choose_eyes(field: HeightField, viewpoints: int, seed: int) -> tuple[Viewpoints, Viewpoints]:
-    """Return the viewpoints, and all displaced ones, those of one viewpoint together."""
+    """Return the viewpoints, and all displaced ones, grouped by viewpoint."""
     generator = np.random.default_rng(seed)
     west, south, east, north = field.bounds_m
-    margin = 3000.0 + _AWAY_M  # Of a viewpoint from the map's border
+    margin = 3000.0 + _AWAY_M  # Least distance of a viewpoint from the map's border
     if not (east - west > 2.0 * margin and north - south > 2.0 * margin):
         raise InputError(
             f"the map is {(east - west) / 1e3:.1f} x {(north - south) / 1e3:.1f} km; expected more "

@@ -61,7 +61,10 @@ def has_grass() -> bool:
 
 
 class EmbreePeer:
-    """Skylines of one height field by Embree's rays, ``width`` columns W a view."""
+    """Skylines of one height field by Embree's rays.
+
+    A view has ``width`` columns W.
+    """
 
     def __init__(self, field: HeightField, width: int) -> None:
         self.field = field
@@ -100,7 +103,7 @@ class EmbreePeer:
         return Views(*place, heading, tan, np.full_like(tan, np.nan), flags)
 
     def _skylines(self, viewpoints: Viewpoints, bracket: float) -> Float64Array:
-        """Return the ordinate v of every column of a few viewpoints' four views, (4 N, W)."""
+        """Return the ordinates v (4 N, W) of a few viewpoints' views."""
         offset = np.stack([viewpoints.easting_m, viewpoints.northing_m], axis=1) - self._middle_m
         drop_m = self.curvature.drop_per_m2 * np.square(offset).sum(axis=1)
         up = viewpoints.eye_elevation_m - self._datum_m - drop_m
@@ -128,7 +131,7 @@ class _Rays:
     ground: Float32Array  # (M, 2); each column's ground direction
 
     def blocked(self, columns: Int64Array, tan: Float64Array) -> BoolArray:
-        """Return whether the terrain stands in the way of a ray at ordinate ``tan``."""
+        """Return whether the terrain blocks a ray at ordinate ``tan``."""
         directions = np.empty((len(columns), 3), dtype=np.float32)
         directions[:, 0::2] = self.ground[columns]
         directions[:, 1] = tan
@@ -137,7 +140,10 @@ class _Rays:
 
 
 def _from_neighbours(rays: _Rays, columns: Int64Array, bracket: float) -> Float64Array:
-    """Return the skyline of (views, W) columns, every stride's from the coarser stride's."""
+    """Return the skyline of columns (views, W).
+
+    The skyline at every stride starts from the coarser stride's.
+    """
     tan = np.full(columns.shape, np.nan)
     stride = 64
     first = slice(0, None, stride)
@@ -230,8 +236,8 @@ def grass_horizons(
 ) -> tuple[Float64Array, Float64Array]:
     """Return r.horizon's elevation angles (N, A) and seconds (N - 1,).
 
-    The field is without holes; heights of the eyes (N) are not used. Seconds are those of each
-    place but the first.
+    The field is without holes; heights of the eyes (N,) are not used. Each place but the first is
+    timed.
     """
     with tempfile.TemporaryDirectory() as folder:
         dem = Path(folder, "dem.tif")

@@ -145,7 +145,7 @@ def photos(
 
 
 def _section(measured: Measured, viewer: Viewer | None) -> str:
-    """Return the section of a photograph, with a drawing if its skyline was found."""
+    """Return a photograph's section, with a drawing of any skyline found."""
     known = ([name, shown(value)] for name, value in measured.figures.items() if value is not None)
     parts = [table(("", ""), list(known))]
     if measured.skyline is not None:
@@ -198,7 +198,10 @@ def measure(
 
 
 def summarize(rows: Sequence[Row]) -> list[dict[str, Any]]:
-    """Return one row for each kind of photograph: how many were found, answered and right."""
+    """Return one row for each kind of photograph.
+
+    It says how many were found, answered and right.
+    """
     table = []
     for kind in sorted({row["kind"] for row in rows}, key=KINDS.index):
         some = [row for row in rows if row["kind"] == kind]
@@ -226,7 +229,7 @@ def summarize(rows: Sequence[Row]) -> list[dict[str, Any]]:
 
 
 def _extracted(one: Photograph) -> Measured:
-    """Read a photograph, and compare its skyline with the truth where that is known."""
+    """Read a photograph, and compare its skyline with any known truth."""
     figures: dict[str, Any] = {"photo": one.name, "kind": one.kind}
     started = time.perf_counter()
     try:
@@ -333,7 +336,7 @@ def _stages(
 def _found_by_truth(
     one: Photograph, skyline: PhotoSkyline, true_px: Float64Array | None, matcher: Matcher
 ) -> bool:
-    """Whether the true skyline, as far as it is known, leads to the place."""
+    """Return whether the true skyline, where known, leads to the place."""
     if true_px is None:
         return False
     true = replace(skyline, row_px=true_px, trust=np.isfinite(true_px).astype(float))
@@ -344,7 +347,10 @@ def _found_by_truth(
 def _fitted(
     one: Photograph, skyline: PhotoSkyline, matcher: Matcher, viewer: Viewer
 ) -> Pose | None:
-    """Return the fit of the true pose; None where it is unknown or lost."""
+    """Return the fit of the true pose.
+
+    None where the pose is unknown or lost.
+    """
     if one.heading_deg is None:
         return None
     lon, lat = one.lonlat
@@ -373,7 +379,10 @@ def _turn_deg(one: Photograph, place: Pose) -> float | None:
 
 
 def _groups(photographs: Sequence[Photograph], apart_m: float) -> Iterator[list[Photograph]]:
-    """Yield photographs that share an area, those of the first of them first."""
+    """Yield groups of photographs that share an area.
+
+    Groups are in order of their first photographs.
+    """
     left = list(photographs)
     while left:
         first = left[0]
@@ -383,7 +392,10 @@ def _groups(photographs: Sequence[Photograph], apart_m: float) -> Iterator[list[
 
 
 def _area_deg(terrain: HeightField, first: Photograph, side_m: float) -> Bounds:
-    """Return W, S, E, N of an area around a place off its middle."""
+    """Return west, south, east and north of an area, degrees.
+
+    The given place is in the area, but not in its middle.
+    """
     generator = np.random.default_rng(zlib.crc32(first.name.encode()))
     lon, lat = first.lonlat
     m_per_deg = 111_320.0 * np.array([math.cos(math.radians(lat)), 1.0])
@@ -448,7 +460,10 @@ def sky_masks(
 
 
 def _columns(photo: Photograph) -> tuple[int, int, int, int]:
-    """Return the figures of `count_columns`; no column is trusted where the photo is refused."""
+    """Return the figures of `count_columns`.
+
+    No column is trusted where the photo is refused.
+    """
     measured = _extracted(photo)
     if measured.skyline is not None and measured.row_px is not None:
         return count_columns(measured.skyline, measured.row_px)

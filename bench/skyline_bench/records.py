@@ -1,4 +1,4 @@
-"""Records of benchmarks: rows, and all that is needed to measure them again.
+"""Records of benchmarks: rows, and how to measure them again.
 
 A record names the command, the data that it read, the area, the stores, the seed, the code and the
 machine. Files are named as the command named them: start a benchmark whose record others shall
@@ -58,14 +58,14 @@ class Run:
 
     @property
     def seed(self) -> int | None:
-        """The seed of all random draws; None where the benchmark has no such option."""
+        """The seed of all random draws; None where there is none."""
         return self.context.params.get("seed")
 
     def command(self) -> str:
-        """Return the command as a shell takes it: all options that were given, and the seed.
+        """Return the command as a shell takes it.
 
-        Files that it writes are named without their folders, and a folder in which stores are kept
-        is left out.
+        It has all options that were given, and the seed. Files that it writes are named without
+        their folders, and a folder in which stores are kept is left out.
         """
         program = self.context.find_root().info_name or ""
         words = [*program.split(), self.bench]
@@ -79,7 +79,7 @@ class Run:
         return shlex.join(words)
 
     def outputs(self) -> list[str]:
-        """Return the names of the files that it writes, as its command has them."""
+        """Return the names of the files written, as in the command."""
         written = self._named(WRITTEN)
         return [
             Path(value).name
@@ -89,9 +89,10 @@ class Run:
         ]
 
     def inputs(self, more: Iterable[Path] = ()) -> list[dict[str, str]]:
-        """Return the path of each file and folder that it reads, and its digest.
+        """Return the paths and the digests of what was read.
 
-        ``more`` are files that the files named on the command line name. Addresses are left out.
+        Files and folders are read. ``more`` are files that the files named on the command line
+        name. Addresses are left out.
         """
         read = self._named(READ)
         given = [one for param, values in self._given() if param.name in read for one in values]
@@ -101,7 +102,10 @@ class Run:
         return [{"path": path, "digest": digest_of(Path(path))} for path in here]
 
     def _given(self) -> Iterator[tuple[Any, list[Any]]]:
-        """Yield the parameters that were given, and the seed, each with a list of its values."""
+        """Yield the parameters that were given, and the seed.
+
+        Each comes with a list of its values.
+        """
         context = self.context
         for param in context.command.params:
             name = param.name or ""
@@ -117,7 +121,10 @@ class Run:
 
 
 def _word(value: object) -> str:
-    """Return a value as a command line has it; whole numbers have no point."""
+    """Return a value as a command line has it.
+
+    Whole numbers have no point.
+    """
     return f"{value:.15g}" if isinstance(value, float) else str(value)
 
 
@@ -131,9 +138,10 @@ def write_record(
     stores: Mapping[str, str] | None = None,
     files: Iterable[Path] = (),
 ) -> None:
-    """Write the record of a run as JSON, whole or not at all, if the run asks for one.
+    """Write a run's record as JSON, if the run asks for one.
 
-    Numbers that are not finite, for which JSON has no word, are written as null.
+    The file is written whole or not at all. Numbers that are not finite, for which JSON has no
+    word, are written as null.
 
     Parameters
     ----------
@@ -187,7 +195,7 @@ def read_record(path: Path) -> dict[str, Any]:
 def digest_of(path: Path) -> str:
     """Return the digest of a store, else the SHA-256 of a file.
 
-    That of a folder is over the names and digests of its files.
+    The digest of a folder is over the names and digests of its files.
     """
     with suppress(SkylineError), open_store(path) as store:
         return store.digest
@@ -203,7 +211,10 @@ def digest_of(path: Path) -> str:
 
 
 def code() -> dict[str, object]:
-    """Return the version of Skyline and, in a checkout of it, the commit and if it was changed."""
+    """Return the version of Skyline and of its checkout.
+
+    In a checkout, these are the commit and whether the code was changed since.
+    """
     package = Path(skyline.__file__).parent
     about: dict[str, object] = {"skyline": skyline.__version__}
     # The checkout of another project may contain an installed Skyline.
@@ -225,7 +236,7 @@ def _git(folder: Path, *words: str) -> str | None:
 
 
 def machine() -> dict[str, object]:
-    """Describe this machine and the software that matters to a measurement on it."""
+    """Describe this machine, and its software that matters to measurements."""
     try:
         context = acquire_context()
         renderer = context.renderer
@@ -245,7 +256,7 @@ def machine() -> dict[str, object]:
 
 
 def _processor() -> str:
-    """Return the processor's model name where the system gives it, else its architecture."""
+    """Return the processor's model name, else its architecture."""
     info = Path("/proc/cpuinfo")
     lines = info.read_text(encoding="utf-8").splitlines() if info.is_file() else []
     names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]

@@ -1,4 +1,4 @@
-"""``skyline-bench repeat``: the command of a record, run again on the same data, and compared."""
+"""``skyline-bench repeat``: the command of a record, run again."""
 
 import math
 import shlex
@@ -37,10 +37,11 @@ def repeat(
         ),
     ] = Path("repeated"),
 ) -> None:
-    """The command of a record once more, on the same data: a new record, compared with the old.
+    """The command of a record once more, on the same data.
 
-    Data with another digest than the record's are refused. A record keeps its
-    name, so --output decides whether it is replaced.
+    The new record is compared with the old one. Data with another digest than the
+    record's are refused. A record keeps its name, so --output decides whether it
+    is replaced.
     """
     old = read_record(record)
     missing = [name for name in _NEEDED if name not in old]
@@ -72,9 +73,10 @@ def repeat(
 
 
 def _inputs_in(folder: Path, record: Path, digests: Mapping[str, str]) -> dict[str, str]:
-    """Return the paths from a folder of the files that a record names, by their paths there.
+    """Return the present paths of a record's files, by their names.
 
-    Raises `MissingFileError` for a file that is not there, and `InputError` for another digest.
+    The files are looked for in a folder. Raises `MissingFileError` for a file that is not there,
+    and `InputError` for another digest.
     """
     found = {path: _path_in(folder, path) for path in digests}
     absent = [path for path, here in found.items() if here is None]
@@ -97,9 +99,9 @@ def _inputs_in(folder: Path, record: Path, digests: Mapping[str, str]) -> dict[s
 
 
 def _path_in(folder: Path, path: str) -> str | None:
-    """Return the longest end of a path that exists in a folder, or the path if it is absolute.
+    """Return the longest end of a path that exists in a folder.
 
-    None where neither exists.
+    An absolute path is returned as it is. None where neither exists.
     """
     given = Path(path)
     if given.is_absolute() and folder == Path() and given.exists():
@@ -111,7 +113,11 @@ def _path_in(folder: Path, path: str) -> str | None:
 
 
 def _print_comparison(old: Mapping[str, Any], new: Mapping[str, Any]) -> None:
-    """Print which columns of two records differ, in how many rows, and by how much at most."""
+    """Print how two records differ.
+
+    Each column that differs is printed with the number of rows in which it does, and the greatest
+    difference.
+    """
     before = old["rows"]
     after = new["rows"]
     differing = list(_differences(before, after))
@@ -136,7 +142,10 @@ def _differences(before: Sequence[Row], after: Sequence[Row]) -> Iterator[Row]:
 
 
 def _greatest(changed: Sequence[tuple[Any, Any]]) -> Row:
-    """Return the pair of numbers that differ most, as a share of the first, else the first pair."""
+    """Return the pair of numbers that differ most.
+
+    Differences are shares of the first number. Without numbers, the first pair is returned.
+    """
 
     def share(pair: tuple[Any, Any]) -> float:
         if not all(isinstance(value, int | float) for value in pair):

@@ -1,4 +1,4 @@
-"""Names of summits and places of pixels in made photos, against the truth.
+"""Summits' names and pixels' places in made photos, against the truth.
 
 The truth is the terrain that the photos show. A summit is a sample that is the highest for 500 m
 around. It is visible if no terrain stands before it, up to 150 m from it: nearer ground is the
@@ -72,10 +72,10 @@ def label_row(model: HeightField, seen: HeightField, posed: Sequence[Posed]) -> 
 
 
 def pixel_row(model: HeightField, seen: HeightField, posed: Sequence[Posed]) -> dict[str, Any]:
-    """Return how far places in pixels on ``model`` are from the true ones.
+    """Return how far the places of pixels are from the true ones.
 
-    The true ones are on ``seen``. The standard error of a place along its ray is the model's error
-    in height over the angle at which the ray meets the ground.
+    Places are found on ``model``, and the true ones lie on ``seen``. The standard error of a place
+    along its ray is the model's error in height over the angle at which the ray meets the ground.
     """
     errors = list[Float64Array]()
     for query, pose in posed:
@@ -123,7 +123,10 @@ def _about(model: HeightField, seen: HeightField, posed: Sequence[Posed]) -> dic
 
 
 def _true_pose(viewer: Viewer, truth: Truth) -> Pose:
-    """Return the true pose of a photo, whose eye stands on the ground or above."""
+    """Return the true pose of a photo.
+
+    Its eye stands on the ground or above.
+    """
     place_m = {"easting_m": truth.easting_m, "northing_m": truth.northing_m}
     north_deg = float(viewer.frame.convergence_deg(**place_m))
     lon, lat = map(float, viewer.frame.to_lonlat(truth.easting_m, truth.northing_m))
@@ -177,9 +180,9 @@ def _in_picture(
 def _ground_above_m(
     terrain: HeightField, truth: Truth, azimuth_rad: Float64Array, away_m: Float64Array
 ) -> Float64Array:
-    """Return the height of the ground over the eye's level on K rays at D distances.
+    """Return the height (K, D) of the ground over the eye's level.
 
-    It is -inf without data.
+    It is given on K rays at D distances. It is -inf without data.
     """
     ground_m = terrain.height_at(
         easting_m=truth.easting_m + away_m * np.sin(azimuth_rad)[:, np.newaxis],

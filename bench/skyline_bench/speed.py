@@ -65,7 +65,9 @@ def speed_error(
     quick: options.Quick = False,
     crs: options.Crs = None,
 ) -> None:
-    """Every way to a skyline: milliseconds a viewpoint against error from the oracle.
+    """Every way to a skyline: its time against its error.
+
+    Times are milliseconds a viewpoint; errors are differences from the oracle.
 
     Viewpoints stand on a 100 m grid in the DEM's middle, and n of them are
     compared with the oracle. Errors are over the columns that neither side flags,
@@ -205,7 +207,7 @@ def _true_deg(
 
 
 def _errors_px(off_deg: Float64Array) -> Row:
-    """Return errors of elevation angles in px of the middle of a view."""
+    """Return errors of elevation angles, px at a view's middle."""
     off_px = np.tan(np.radians(np.abs(off_deg[np.isfinite(off_deg)]))) / PIXEL_TAN
     return {
         "rms_px": float(np.sqrt(np.mean(off_px**2))),

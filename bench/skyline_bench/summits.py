@@ -64,7 +64,7 @@ QUICK = SummitsConfig(summits=40, eyes=2, places=40, beside=2, anywhere=100)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _File:
-    """The repaired samples of a DEM, and where they lie in the surface's frame."""
+    """The repaired samples of a DEM in the surface's frame."""
 
     heights_m: Float32Array
     grid: Grid
@@ -132,7 +132,7 @@ def summits(
     quick: options.Quick = False,
     crs: options.Crs = None,
 ) -> None:
-    """Summits of a DEM's file and surface, how they are seen, and horizons."""
+    """Summits of a DEM's file and surface, and horizons."""
     terrain = read_dem(dem, DemOptions(crs=crs))
     rows = measure(dem, terrain, crs, QUICK if quick else SummitsConfig())
     columns = """surface spacing_m km2 summits=n lowest_m highest_m summits_off sights
@@ -150,7 +150,10 @@ def measure(
     crs: str | None = None,
     config: SummitsConfig = SummitsConfig(),
 ) -> list[Row]:
-    """Return a row for each surface of a DEM's files; ``field`` is as read."""
+    """Return a row for each surface of a DEM's files.
+
+    ``field`` is the surface as it is read.
+    """
     file = _File.read(dem, DemOptions(crs=crs), field)
     row, col = file.summits(config.summits)
     surfaces = {"as read": field}
@@ -178,8 +181,9 @@ def measure(
 def _horizons_beside(field: HeightField, file: _File, config: SummitsConfig) -> Row:
     """Return how high horizons beside summits are, by where the eye stands.
 
-    The shares of azimuths below 3 degrees, more than 1 degree off what is seen from the summit
-    itself, and whose horizon is nearer than a sample; the first from the summit itself too.
+    These are shares of azimuths: with a horizon below 3 degrees, with a horizon more than 1 degree
+    off the horizon of the summit itself, and with a horizon nearer than a sample. The first is
+    given from the summit itself, too.
     """
     row, col = _prominent(field)
     if not row.size:
@@ -279,7 +283,10 @@ def _surface_around(surface: HeightField, easting: Float64Array, northing: Float
 def _summit_errors(
     surface: HeightField, file: _File, row: Int64Array, col: Int64Array, config: SummitsConfig
 ) -> Row:
-    """Return how far summits are too high or low, also as they are seen."""
+    """Return how far summits are too high or too low.
+
+    This is also measured as eyes see it.
+    """
     summit, eyes = _sights(file, row, col, config)
     error_m = []
     seen_m = []
@@ -310,7 +317,7 @@ def _summit_errors(
 
 
 def _greatest_tan(places: _Places, eyes: Float64Array) -> Float64Array:
-    """Return how high places reach as seen from eyes (3, S), (S,)."""
+    """Return the greatest tangent (S,) of places, seen from eyes (3, S)."""
     easting, northing, height_m = places
     east, north, up = eyes[:, :, np.newaxis]
     away = np.hypot(easting - east, northing - north)
@@ -319,7 +326,10 @@ def _greatest_tan(places: _Places, eyes: Float64Array) -> Float64Array:
 
 
 def _sample_errors(surface: HeightField, file: _File) -> Row:
-    """Return how far the surface is from a tenth of the file's samples."""
+    """Return how far the surface is from some of the samples.
+
+    A tenth of the file's samples is compared.
+    """
     row, col = np.meshgrid(
         np.arange(0, file.grid.rows, 10), np.arange(file.grid.cols), indexing="ij"
     )
@@ -335,9 +345,10 @@ def _sample_errors(surface: HeightField, file: _File) -> Row:
 def _sights(
     file: _File, row: Int64Array, col: Int64Array, config: SummitsConfig
 ) -> tuple[Int64Array, Float64Array]:
-    """Draw eyes about each summit, below it, that see it over the terrain.
+    """Draw eyes about each summit that see it from below.
 
-    Return the summits (S,) that eyes (3, S) see: easting, northing, elevation.
+    They see it over the terrain. Returned are the summits (S,) that eyes (3, S) see: easting,
+    northing, elevation.
     """
     rng = np.random.default_rng(0)
     shape = row.size * config.eyes
@@ -369,12 +380,13 @@ def _place_cpu_ms(surface: HeightField, count: int) -> float:
 
 
 def prominences(heights_m: ArrayLike) -> tuple[Int64Array, Int64Array, Float64Array]:
-    """Return row, column and prominence (S,) of all summits, the most prominent first.
+    """Return the summits of heights, the most prominent first.
 
-    Samples (rows, cols) rise out of a falling flood, the highest first. A sample that touches no
-    land is a summit. One that joins two lands is the pass between them: the lower of their summits
-    has the height above it for its prominence. The summit of a land that never joins a higher one
-    is as prominent as it is high above the lowest sample. Holes (NaN) stay under water.
+    They are given as rows, columns and prominences (S,). Samples (rows, cols) rise out of a falling
+    flood, the highest first. A sample that touches no land is a summit. One that joins two lands is
+    the pass between them: the lower of their summits has the height above it for its prominence.
+    The summit of a land that never joins a higher one is as prominent as it is high above the
+    lowest sample. Holes (NaN) stay under water.
     """
     padded = np.pad(np.asarray(heights_m, np.float64), 1, constant_values=np.nan)
     height_m = padded.ravel().tolist()

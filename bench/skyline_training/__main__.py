@@ -35,10 +35,11 @@ def sky_model(
     seed: options.Seed = 1,
     quick: Annotated[bool, options.quick_with(minutes=0.01)] = False,
 ) -> None:
-    """Train the network that finds skylines in photos on drawn photographs, and write it.
+    """Train the network that finds skylines in photos, and write it.
 
-    The photographs are drawn meanwhile on all cores. Skyline's own network was trained
-    for 8.5 minutes on an H200 GPU beside 16 cores; see docs/accuracy.md.
+    It learns from photographs that are drawn meanwhile on all cores. Skyline's own
+    network was trained for 8.5 minutes on an H200 GPU beside 16 cores; see
+    docs/accuracy.md.
     """
     try:
         from skyline_training import network  # noqa: PLC0415  (torch is an extra)
@@ -59,7 +60,10 @@ def panoramas(
     seed: options.Seed = 39,
     crs: options.Crs = None,
 ) -> None:
-    """Draw panoramas as phones make them, and the manifest with which they are measured."""
+    """Draw panoramas as phones make them.
+
+    Their manifest is written, too, with which they are measured.
+    """
     with Terminal().progress("panoramas") as progress:
         write_panoramas(read_dem(dem, DemOptions(crs=crs)), out, photos, seed, progress)
 
@@ -86,7 +90,11 @@ def confidence(
     seed: options.Seed = 6000,
     quick: Annotated[bool, options.quick_with(queries=1)] = False,
 ) -> None:
-    """Learn the confidence on Sierra, Rofental and Everest; show its reliability on Davos."""
+    """Learn the confidence of matches.
+
+    It is learned on Sierra, Rofental and Everest, and its reliability is shown on
+    Davos.
+    """
     if examples is not None and examples.exists():
         found = read_examples(examples)
     else:
@@ -121,7 +129,10 @@ def orientation(
     seed: options.Seed = 100,
     quick: Annotated[bool, options.quick_with(queries=1)] = False,
 ) -> None:
-    """Learn how far headings at known places can be believed; show it on Davos."""
+    """Learn how far headings at known places can be believed.
+
+    The reliability is shown on Davos.
+    """
     with Terminal().progress("terrains") as progress:
         found = gather_headings(data, queries, seed, progress)
     learned, rows = learn_orientation(found)

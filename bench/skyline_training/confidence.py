@@ -36,10 +36,11 @@ _BINS = 10
 
 
 def learn(examples: Sequence[Example], within_m: float, *, has_products: bool = True) -> Logistic:
-    """Return the logistic model most likely to have given the examples, right within a distance.
+    """Return the logistic model that most likely gave the examples.
 
-    A model without products is of the figures alone, and counts strangers in full. Raises
-    `InputError` for examples that are all right, or all wrong.
+    An example is right if its error is at most ``within_m``. A model without products is of the
+    figures alone, and counts strangers in full. Raises `InputError` for examples that are all
+    right, or all wrong.
     """
     right = np.array([example.error <= within_m for example in examples])
     if not right.any() or right.all():
@@ -94,7 +95,10 @@ def calibration_error(sure: Float64Array, right: BoolArray) -> float:
 
 
 def reliability(sure: Float64Array, right: BoolArray) -> list[tuple[float, float, float, float]]:
-    """Return mean probability, share right, share of all and standard error of filled bins."""
+    """Return the reliability of probabilities in bins.
+
+    Each filled bin has its mean probability, share right, share of all and standard error.
+    """
     bin_ = np.minimum((sure * _BINS).astype(int), _BINS - 1)
     rows = []
     for index in np.unique(bin_):
@@ -145,7 +149,10 @@ def learn_all(examples: Examples) -> Learned:
 
 
 def _left_out(model: str, examples: Examples, stage: str, within_m: float) -> Row:
-    """Return how well probabilities hold on each terrain, learned from all other terrains."""
+    """Return how well probabilities hold on each terrain.
+
+    They are learned from all other terrains.
+    """
     sure, right, turn_deg = [], [], []
     for name, some in examples.items():
         others = [one for other in examples if other != name for one in examples[other][stage]]
@@ -165,7 +172,10 @@ def _rated_kind(
     right: BoolArray,
     turn_deg: Float64Array,
 ) -> Row:
-    """Return how well probabilities hold for a kind, and the worst heading answered."""
+    """Return how well probabilities hold for a kind.
+
+    The worst heading that is answered is returned with it.
+    """
     row = rated(model, terrain, sure, right)
     answered = turn_deg[(sure >= MatchConfig().min_confidence) & np.isfinite(turn_deg)]
     return {**row, "kind": kind, "worst_turn_deg": float(answered.max()) if len(answered) else None}
@@ -178,7 +188,7 @@ def rated(
     right: BoolArray,
     least: float = MatchConfig().min_confidence,
 ) -> Row:
-    """Return how well the probabilities (N,) of a model hold on a terrain."""
+    """Return how well a model's probabilities (N,) hold on a terrain."""
     answered = sure >= least
     return {
         "model": model,

@@ -67,7 +67,10 @@ def _foliage(drawing: Drawing) -> None:
 
 
 def _figure(drawing: Drawing) -> None:
-    """A person, seen from behind: shoulders and legs or hem, an arm, a head, a hat, a pack."""
+    """Draw a person, seen from behind.
+
+    A person has shoulders and legs or a hem, an arm, a head, a hat, a pack.
+    """
     rng, (height, width) = drawing.rng, drawing.size
     close = rng.random() < 0.3
     size = np.exp(rng.uniform(-2.4, -1.2) if close else rng.uniform(-4.5, -2.2)) * height
@@ -102,7 +105,10 @@ def _paint_cloth(drawing: Drawing, mask: UInt8Array) -> None:
 
 
 def _bulk(drawing: Drawing) -> None:
-    """A pack, a boulder or a hand close by, out of focus, that reaches in from below or a side."""
+    """Draw a pack, a boulder or a hand close by.
+
+    It is out of focus, and reaches in from below or from a side.
+    """
     rng, (height, width) = drawing.rng, drawing.size
     column = rng.choice([0.0, 1.0, rng.random()]) * width
     row = (1.0 if 0.0 < column < width else rng.uniform(0.3, 1.0)) * height
@@ -163,7 +169,10 @@ def _houses(drawing: Drawing) -> None:
 
 
 def _window(drawing: Drawing) -> None:
-    """Look out of a car, a door or a tent: dark all round an opening."""
+    """Look out of a car, a door or a tent.
+
+    It is dark all round an opening.
+    """
     rng, (height, width) = drawing.rng, drawing.size
     mask = np.full((height, width), 255, np.uint8)
     reach = rng.uniform(-0.12, 0.25, 4)

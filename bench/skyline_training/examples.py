@@ -83,13 +83,13 @@ other place."""
 
 @dataclass(frozen=True, slots=True)
 class Example:
-    """The figures of the best pose of one query, and how far off it is."""
+    """The figures of a query's best pose, and the pose's error."""
 
     figures: Mapping[str, float]
-    # Of a place, metres, infinite where the pose looks another way; of a heading, degrees; infinite
-    # for a query of other terrain.
+    # The error of a place, metres, infinite where the pose looks another way; or the error of a
+    # heading, degrees. Infinite for a query of other terrain.
     error: float
-    kind: str = ""  # Of the query
+    kind: str = ""  # The kind of the query
     turn_deg: float = 0.0  # Error of the heading of a place
 
 
@@ -116,7 +116,10 @@ def gather_matches(
 def _gathered_on(
     data: Path, queries: int, seed: int, places: int | None, name: str
 ) -> dict[str, list[Example]]:
-    """Match so many queries of each kind, drawn by a seed, on one terrain; examples by stage."""
+    """Match queries of each kind on one terrain; return examples by stage.
+
+    There are so many ``queries`` of each kind, drawn by a seed.
+    """
     terrain, strange = read_terrains(data, name)
     with tempfile.TemporaryDirectory() as folder:
         return _examples_on(terrain, strange, Path(folder), queries, seed, places)
@@ -139,10 +142,11 @@ def _examples_on(
     seed: int,
     places: int | None,
 ) -> dict[str, list[Example]]:
-    """Match queries of all kinds in the terrain's middle, and some of another; by stage.
+    """Match queries in a terrain's middle; return examples by stage.
 
-    Most kinds are searched in the terrain itself, the others in a coarse model of it and a wider
-    area, where places lie farther apart.
+    There are queries of all kinds, and some of another terrain. Most kinds are searched in the
+    terrain itself, the others in a coarse model of it and a wider area, where places lie farther
+    apart.
     """
     other, coarse = perturbed(terrain, seed=seed), resampled(terrain, COARSE_M)
     area, wide = middle_of(terrain, SIDE_M, OUTSIDE), middle_of(terrain, WIDE_M, OUTSIDE)
@@ -186,7 +190,10 @@ def _without_prior(queries: Iterable[SyntheticQuery]) -> list[tuple[SyntheticQue
 def _noted(
     queries: Iterable[SyntheticQuery], area_m: Rectangle, seed: int
 ) -> list[tuple[SyntheticQuery, Prior]]:
-    """Return queries with the places that they note, of which some are any place of the area."""
+    """Return queries with the places that they note.
+
+    Some of these are any place of the area.
+    """
     rng = np.random.default_rng([seed, 1])
     west, south, east, north = area_m
     pairs = []
@@ -205,7 +212,7 @@ def photographed(
 ) -> Iterator[SyntheticQuery]:
     """Yield queries with the skylines that are extracted from photographs of them.
 
-    Those in whose photograph no skyline is found are left out.
+    A query is left out if no skyline is found in its photograph.
     """
     rng = np.random.default_rng([seed, 2])
     low_m, high_m = terrain.height_range_m
@@ -230,7 +237,10 @@ def photographed(
 def _matcher(
     terrain: HeightField, area_m: Rectangle, folder: Path, places: int | None
 ) -> Iterator[FullMatcher]:
-    """Open a matcher on an area's store for the block, of so many places or the default number."""
+    """Open a matcher on an area's store for the block.
+
+    The store has so many ``places``, or the default number.
+    """
     west, south, east, north = area_m
     store = folder / f"{terrain.digest[:12]}.h5"
     lon, lat = terrain.frame.to_lonlat([west, east], [south, north])
@@ -245,7 +255,10 @@ def _matcher(
 def examples_from(
     matcher: FullMatcher, queries: Sequence[tuple[SyntheticQuery, Prior]], kind: str
 ) -> Iterator[tuple[str, Example]]:
-    """Yield stages and examples of each query of a kind; queries that nothing fits give none."""
+    """Yield stages and examples of each query of a kind.
+
+    A query that fits nowhere gives none.
+    """
     for query, prior in queries:
         try:
             rays = query.rays()
@@ -277,7 +290,10 @@ def _example(
 
 
 def middle_of(terrain: HeightField, side_m: float = SIDE_M, wider: float = 1.0) -> Rectangle:
-    """Return the square in a terrain's middle that is built, or one so much wider."""
+    """Return the square in a terrain's middle that is built.
+
+    ``wider`` is a factor on its side.
+    """
     west, south, east, north = terrain.bounds_m
     half = 0.5 * min(side_m, 0.7 * (east - west), 0.7 * (north - south))
     middle = np.array([(west + east) / 2.0, (south + north) / 2.0])
@@ -285,9 +301,10 @@ def middle_of(terrain: HeightField, side_m: float = SIDE_M, wider: float = 1.0) 
 
 
 def strangers_of(terrain: HeightField, queries: int, seed: int) -> list[SyntheticQuery]:
-    """Make queries of every kind, plain ones and photographs, in a terrain's middle.
+    """Make queries of every kind in a terrain's middle.
 
-    There is a stranger of each kind for so many of ``queries``: `STRANGERS_SHARE`.
+    Plain ones and photographs are among them. There is a stranger of each kind for so many of
+    ``queries``: `STRANGERS_SHARE`.
     """
     count, area = max(queries // STRANGERS_SHARE, 1), middle_of(terrain)
     made = {
@@ -318,7 +335,10 @@ def with_lenses(queries: Iterable[SyntheticQuery], seed: int) -> list[SyntheticQ
 
 
 def _noted_alone(fov_deg: float, rng: np.random.Generator) -> Lens:
-    """Return the lens of a photo whose EXIF has one value for its true field of view."""
+    """Return the lens of a photo with one value in EXIF.
+
+    The value notes the true field of view, with an error.
+    """
     tangent = math.tan(math.radians(fov_deg) / 2.0) * math.exp(ALONE_SD * rng.standard_normal())
     noted_rad = 2.0 * math.atan(tangent)
     return Lens(math.degrees(noted_rad), math.degrees(ALONE_SD * math.sin(noted_rad)))
@@ -333,5 +353,5 @@ def read_examples(path: Path) -> Examples:
 
 
 def write_examples(examples: Examples, path: Path) -> None:
-    """Write examples, so that another model can be learned from the same matches."""
+    """Write examples, to learn another model from the same matches."""
     path.write_text(json.dumps(examples, default=asdict))

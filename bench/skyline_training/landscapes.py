@@ -1,7 +1,8 @@
-"""Landscapes with known skylines: a fractal height field seen in perspective, lit, and veiled.
+"""Drawn landscapes with known skylines.
 
-Columns of the picture march over the height field together, nearest first; a point is seen if it
-rises above all nearer points. Everything that differs between photographs is drawn at random.
+A fractal height field is seen in perspective, lit, and veiled. Columns of the picture march over
+the height field together, nearest first; a point is seen if it rises above all nearer points.
+Everything that differs between photographs is drawn at random.
 """
 
 from dataclasses import dataclass
@@ -20,7 +21,7 @@ SKY, GROUND, COVER, UNKNOWN = 0, 1, 2, 255
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrainingPhoto:
-    """A photograph, with the true label of each pixel and the true skyline."""
+    """A photograph, with its pixels' true labels and true skyline."""
 
     image: UInt8Array  # (H, W, 3)
     label: UInt8Array  # (H, W)
@@ -73,7 +74,10 @@ def fractal(
     stretch: float = 1.0,
     longest: float = np.inf,
 ) -> Float32Array:
-    """Return periodic noise of unit deviation with a power-law spectrum up to a longest wave."""
+    """Return periodic noise with a power-law spectrum.
+
+    It has unit deviation, and no waves longer than a limit.
+    """
     down = np.fft.fftfreq(shape[0])[:, np.newaxis]
     across = np.fft.rfftfreq(shape[1])[np.newaxis, :] * stretch
     frequency = np.hypot(down, across).astype(np.float32)
@@ -86,7 +90,10 @@ def fractal(
 
 @lru_cache(maxsize=1)
 def _noises(seed: int) -> tuple[Float32Array, ...]:
-    """Return periodic fields that a few photographs share: relief, creases, crags, two textures."""
+    """Return periodic fields that a few photographs share.
+
+    They are a relief, creases, crags and two textures.
+    """
     rng = np.random.default_rng([7, seed])
     shape = (CELLS, CELLS)
     creased = -np.abs(fractal(rng, shape, rng.uniform(1.6, 1.9), 1.0, rng.uniform(80, 300)))
@@ -100,7 +107,10 @@ def _noises(seed: int) -> tuple[Float32Array, ...]:
 
 
 def draw_heights(rng: np.random.Generator, family: int) -> Float32Array:
-    """Return a periodic height field of a family, metres: rolling hills to sharp ridges."""
+    """Return a periodic height field of a family, metres.
+
+    It has rolling hills to sharp ridges.
+    """
     rolling, creased, rough = _noises(family)[:3]
     sharp = rng.uniform(0.0, 1.0)
     height = (1.0 - sharp) * rolling + sharp * creased + rng.uniform(0.0, 0.1) * rough
@@ -126,7 +136,10 @@ def draw_landscape(
     family: int,
     fov_deg: tuple[float, float],
 ) -> DrawnLandscape:
-    """Draw what lies below the skyline, in relief that a family of photographs shares."""
+    """Draw what lies below the skyline.
+
+    A family of photographs shares the relief.
+    """
     field, (texture, fine) = draw_heights(rng, family), _noises(family)[3:]
     fov = np.radians(rng.uniform(*fov_deg))
     azimuth = rng.uniform(0, 2 * np.pi) + np.linspace(-fov / 2, fov / 2, width, dtype=np.float32)
@@ -261,7 +274,10 @@ def _surface(
 def draw_sky(
     rng: np.random.Generator, width: int, height: int, skyline_px: float
 ) -> tuple[Float32Array, NDArray[np.float32]]:
-    """Draw a sky with clouds, (H, W, 3), and return the colour that haze takes from it."""
+    """Draw a sky (H, W, 3) with clouds.
+
+    The colour that haze takes from it is returned, too.
+    """
     kinds, shares = (
         ["blue", "grey", "white", "warm", "dark", "any"],
         [0.34, 0.2, 0.06, 0.14, 0.1, 0.16],
@@ -305,7 +321,10 @@ def _clouded(
     horizon: NDArray[np.floating],
     skyline_px: float,
 ) -> NDArray[np.floating]:
-    """Put clouds into a sky: wisps, heaps with hard edges, or a ceiling."""
+    """Put clouds into a sky.
+
+    They are wisps, heaps with hard edges, or a ceiling.
+    """
     height, width = sky.shape[:2]
     density = fractal(rng, (height, width), rng.uniform(1.2, 2.0), rng.uniform(1.0, 5.0))
     if rng.random() < 0.4:  # They gather over the ridges.

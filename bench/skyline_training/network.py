@@ -1,10 +1,10 @@
-"""Train the network that finds each column's skyline, and write it as Skyline reads it.
+"""Train the network that finds each column's skyline.
 
-The encoder is EfficientNet-Lite0 (Tan and Le 2019), whose weights were trained on a million real
-photographs (ImageNet); training on drawn photographs changes them little. A decoder goes
-from a thirty-second of the size back up to half of it. Each of these pixels gets four numbers: the
-log-odds that the column's skyline runs there, relative to a column without a skyline (0), and
-scores of sky, ground and cover, which only training uses.
+It is written as Skyline reads it. The encoder is EfficientNet-Lite0 (Tan and Le 2019), whose
+weights were trained on a million real photographs (ImageNet); training on drawn photographs changes
+them little. A decoder goes from a thirty-second of the size back up to half of it. Each of these
+pixels gets four numbers: the log-odds that the column's skyline runs there, relative to a column
+without a skyline (0), and scores of sky, ground and cover, which only training uses.
 """
 
 import gzip
@@ -43,7 +43,10 @@ def _conv(
     *,
     apart: bool = False,
 ) -> nn.Sequential:
-    """Return a normalized convolution, cut off at 6; ``apart`` keeps the channels apart."""
+    """Return a normalized convolution, cut off at 6.
+
+    ``apart`` keeps the channels apart.
+    """
     return nn.Sequential(
         nn.Conv2d(
             inputs,
@@ -61,7 +64,11 @@ def _conv(
 
 
 class _Block(nn.Module):
-    """Inverted residual: wider, each channel by itself, narrower, added to what came in."""
+    """An inverted residual block.
+
+    The input is made wider, each channel is convolved by itself, the result is made narrower and
+    added to the input.
+    """
 
     def __init__(
         self,
@@ -102,7 +109,10 @@ only tells apart what ImageNet has names for."""
 
 
 class SkyNet(nn.Module):
-    """Pictures (N, 4, H, W) to scores (N, 4, H/2, W/2); sides are multiples of 32."""
+    """The network from pictures to scores.
+
+    Pictures are (N, 4, H, W), with sides that are multiples of 32, and scores (N, 4, H/2, W/2).
+    """
 
     def __init__(self) -> None:
         super().__init__()
@@ -175,7 +185,7 @@ _LAST_STEPS = 100
 
 
 class _Album:
-    """Drawn photographs of one size in the memory of the device that trains."""
+    """Drawn photographs of one size in the training device's memory."""
 
     def __init__(self, first: TrainingPhoto, kept: int, device: str) -> None:
         height, width = first.label.shape
@@ -202,9 +212,10 @@ class _Album:
     def cut(
         self, count: int, shape: tuple[int, int], rng: np.random.Generator
     ) -> tuple[Tensor, ...]:
-        """Return rectangles of random photographs at a size, their light changed at random.
+        """Return random rectangles of random photographs at a size.
 
-        Pictures are (N, 3, H, W), levelled; labels (N, H/2, W/2); rows (N, W/2).
+        Their light is changed at random. Pictures are (N, 3, H, W), levelled; labels (N, H/2, W/2);
+        rows (N, W/2).
         """
         device = self.image.device
         chosen = torch.from_numpy(rng.integers(0, min(self.added, len(self.image)), count)).to(
@@ -255,7 +266,10 @@ def _add(photo: TrainingPhoto, albums: list[_Album], kept: int, device: str) -> 
 
 
 def _toned(light: Tensor, rng: np.random.Generator) -> Tensor:
-    """Change exposure, contrast and tone of pictures (N, 3, H, W) from 0 to 1."""
+    """Change the exposure, contrast and tone of pictures.
+
+    Pictures are (N, 3, H, W) from 0 to 1.
+    """
     count = len(light)
     gamma = np.exp(rng.normal(0.0, 0.25, (count, 1)))
     gain = np.exp(rng.normal(0.0, 0.15, (count, 1)) + rng.normal(0.0, 0.05, (count, 3)))
@@ -279,7 +293,10 @@ def _levelled(light: Tensor) -> Tensor:
 def _batch(
     albums: list[_Album], count: int, shape: tuple[int, int], rng: np.random.Generator
 ) -> tuple[Tensor, ...]:
-    """Return pictures (N, 4, H, W), labels (N, H/2, W/2) and rows (N, W/2), changed at random."""
+    """Return pictures, labels and rows, changed at random.
+
+    They are (N, 4, H, W), (N, H/2, W/2) and (N, W/2).
+    """
     wide = [one for one in albums if one.is_wide]
     others = [one for one in albums if not one.is_wide]
     if shape[1] > _WIDE * shape[0] and wide and others:
@@ -293,7 +310,10 @@ def _batch(
 
 
 def train(photos: Iterator[TrainingPhoto], minutes: float, seed: int, progress: Progress) -> SkyNet:
-    """Train for a time on photographs that are drawn meanwhile; return averaged weights."""
+    """Train for a time, and return averaged weights.
+
+    The photographs are drawn meanwhile.
+    """
     torch.manual_seed(seed)
     rng = np.random.default_rng(seed)
     device = "cuda" if torch.cuda.is_available() else "cpu"
@@ -336,7 +356,10 @@ def train(photos: Iterator[TrainingPhoto], minutes: float, seed: int, progress: 
 def _collecting(
     photos: Iterator[TrainingPhoto], albums: list[_Album], device: str
 ) -> Iterator[None]:
-    """Fill albums with photographs in a thread; enter when there are enough to begin with."""
+    """Fill albums with photographs in a thread.
+
+    The block is entered when there are enough to begin with.
+    """
     stop = Event()
 
     def collect() -> None:
@@ -373,9 +396,10 @@ def taught_by_imagenet() -> SkyNet:
 
 
 def _calibrate(net: SkyNet, photos: Iterator[TrainingPhoto], rng: np.random.Generator) -> None:
-    """Scale the log-odds so that they are likeliest on photographs that were not trained on.
+    """Scale the log-odds so that they are likeliest on other photographs.
 
-    Averaged weights doubt too much: those of Skyline's first run needed a factor of 1.3.
+    The network was not trained on these. Averaged weights doubt too much: the weights of Skyline's
+    first run needed a factor of 1.3.
     """
     albums = list[_Album]()
     for photo in islice(photos, _CALIBRATED_ON):
@@ -394,7 +418,7 @@ def _calibrate(net: SkyNet, photos: Iterator[TrainingPhoto], rng: np.random.Gene
 
 
 def _step(net: SkyNet, optimizer: torch.optim.Optimizer, batch: tuple[Tensor, ...]) -> Tensor:
-    """Take one step; return the losses (2,) of the skyline and of the labels."""
+    """Take one step; return the losses (2,) of skyline and labels."""
     picture, label, row = batch
     net.train()
     net.encoder.eval()  # Its features stay normalized over real photographs.
@@ -411,9 +435,10 @@ def _step(net: SkyNet, optimizer: torch.optim.Optimizer, batch: tuple[Tensor, ..
 
 
 def _skyline_loss(odds: Tensor, row: Tensor) -> Tensor:
-    """Return the mean negative log-probability of each column's row, or of its having none.
+    """Return the mean negative log-probability of the columns' rows.
 
-    ``odds`` (N, H, W) are log-odds against none; ``row`` is (N, W), NaN for none.
+    A column without a row has the probability of having none. ``odds`` (N, H, W) are log-odds
+    against none; ``row`` is (N, W), NaN for none.
     """
     log_share = torch.log_softmax(torch.cat([odds, torch.zeros_like(odds[:, :1])], 1), 1)
     seen = torch.isfinite(row) & (row > 0.5) & (row < odds.shape[1] - 0.5)

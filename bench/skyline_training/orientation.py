@@ -40,14 +40,17 @@ from skyline_training.examples import (
 )
 from skyline_training.workers import over_processes
 
-WITHIN_M = (15.0, 50.0, 100.0)
-"""Standard errors of the places, drawn in turn."""
+POSITION_SDS_M = (15.0, 50.0, 100.0)
+"""Standard deviations of the positions, drawn in turn."""
 
 
 def gather_headings(
     data: Path, queries: int, seed: int, progress: Progress
 ) -> dict[str, list[Example]]:
-    """Orient queries of each kind on every terrain, each in a process; return the examples."""
+    """Orient queries of each kind on every terrain; return the examples.
+
+    Each terrain has a process of its own.
+    """
     terrains = list(LEARNED | HELD_OUT)
     found: dict[str, list[Example]] = {}
     gathered = over_processes(partial(_gathered_on, data, queries, seed), terrains)
@@ -58,7 +61,10 @@ def gather_headings(
 
 
 def _gathered_on(data: Path, queries: int, seed: int, name: str) -> list[Example]:
-    """Orient queries of one terrain, of others like it, of a coarse model's, and strangers."""
+    """Orient queries of one terrain; return the examples.
+
+    There are queries of the terrain, of others like it and of a coarse model, and strangers.
+    """
     terrain, strange = read_terrains(data, name)
     area = middle_of(terrain)
     other, coarse = perturbed(terrain, seed=seed), resampled(terrain, COARSE_M)
@@ -76,19 +82,22 @@ def _gathered_on(data: Path, queries: int, seed: int, name: str) -> list[Example
 def _oriented(
     model: HeightField, queries: Iterable[SyntheticQuery], seed: int, *, is_strange: bool
 ) -> Iterator[Example]:
-    """Orient queries on a model, from places drawn about the true ones or, of strangers, any."""
+    """Orient queries on a model.
+
+    Places are drawn about the true ones; strangers have any place.
+    """
     rng = np.random.default_rng([seed, 1])
     west, south, east, north = middle_of(model)
     with orienters(model) as orienter_at:
         for number, query in enumerate(queries):
-            within_m, truth = WITHIN_M[number % len(WITHIN_M)], query.truth
-            off = within_m / math.sqrt(2.0) * rng.standard_normal(2)
+            position_sd_m, truth = POSITION_SDS_M[number % len(POSITION_SDS_M)], query.truth
+            off = position_sd_m / math.sqrt(2.0) * rng.standard_normal(2)
             place = truth.easting_m + off[0], truth.northing_m + off[1]
             if is_strange:
                 place = rng.uniform(west, east), rng.uniform(south, north)
             lon, lat = map(float, model.frame.to_lonlat(*place))
             try:
-                found = _figures_of(orienter_at((lon, lat, None, within_m)), query)
+                found = _figures_of(orienter_at((lon, lat, None, position_sd_m)), query)
             except SkylineError:  # The place is on a hole.
                 continue
             if found is not None:
@@ -98,7 +107,10 @@ def _oriented(
 
 
 def _figures_of(orienter: Orienter, query: SyntheticQuery) -> tuple[dict[str, float], float] | None:
-    """Return the figures of the best pose, and its grid heading; None if nothing fits."""
+    """Return the figures of the best pose, and its grid heading.
+
+    None if nothing fits.
+    """
     if not query.skyline.trusted.any():
         return None
     rays = query.rays()

@@ -1,7 +1,7 @@
-"""Panoramas as phones make them, of a real elevation model, for `skyline-bench photos`.
+"""Panoramas as phones make them, for `skyline-bench photos`.
 
-Two thirds of a turn, 8240 x 1941 px, with haze, clouds behind the ridges, a horizon that sags and
-the seams of stitching. Nothing is trained on them.
+They show a real elevation model: two thirds of a turn, 8240 x 1941 px, with haze, clouds behind the
+ridges, a horizon that sags and the seams of stitching. Nothing is trained on them.
 """
 
 import csv
@@ -29,7 +29,7 @@ _DRAWN_PX, _TIMES = (2060, 485), 4
 """Size at which panoramas are drawn, and the factor by which they are enlarged."""
 _RENDERED_PX = 2048
 _WITHIN_M = 4_500.0
-"""Of the area's middle: eyes this near to one another are searched in one area."""
+"""Distance of eyes from the area's middle: all of them are searched in one area."""
 _TRIES = 400
 _FAR_M = 2_000.0
 """Least median distance of the skyline: nobody sweeps a phone along a bank."""
@@ -44,7 +44,10 @@ _XMP = (
 def draw_panorama(
     renderer: DepthRenderer, viewpoint: Viewpoints, heading_deg: float, rng: np.random.Generator
 ) -> TrainingPhoto | None:
-    """Draw the view from one eye about a grid azimuth; None where the skyline is near."""
+    """Draw the view from one eye about a grid azimuth.
+
+    None where the skyline is near.
+    """
     width, height = _DRAWN_PX
     focal_px = width / np.radians(FOV_DEG)
     azimuth = np.radians(heading_deg) + (np.arange(width) + 0.5 - width / 2.0) / focal_px
@@ -120,7 +123,10 @@ def write_panoramas(
 
 
 def _write(photo: TrainingPhoto, stem: Path) -> None:
-    """Write a drawn panorama enlarged, as JPEG that notes its turn, and its trace."""
+    """Write a drawn panorama and its trace.
+
+    The panorama is enlarged, and written as a JPEG that notes its turn.
+    """
     width, height = (_TIMES * side for side in _DRAWN_PX)
     large = cv2.resize(photo.image, (width, height), interpolation=cv2.INTER_CUBIC)
     full_px = round(width * 360.0 / FOV_DEG)

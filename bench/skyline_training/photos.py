@@ -41,18 +41,18 @@ from skyline_training.workers import over_processes
 _SIZE_PX = (560, 416)
 _PANORAMA_PX = (1232, 280)
 _WAYS = 8
-"""Of so many photographs one is drawn plainly, one is a view and one a panorama: no way of
-drawing is like the world."""
+"""Of so many photographs, one is drawn plainly, one is a view and one is a panorama: no single way
+of drawing is like the world."""
 _FAMILY = 64
 """Photographs in a row whose views are of the same terrain."""
 _FAR_RIDGES_CHANCE = 0.5
-"""Of pale ridges behind the mountains."""
+"""Chance of pale ridges behind the mountains."""
 _LOW_SUN_CHANCE = 0.2
-"""Of mountains against the light, or lit by a sun at the horizon."""
+"""Chance of mountains against the light, or lit by a sun at the horizon."""
 _NEAR_SLOPE_CHANCE = 0.5
-"""Of a dark slope before the mountains: it must not be taken for the skyline."""
+"""Chance of a dark slope before the mountains: it must not be taken for the skyline."""
 _CUT_SKY_CHANCE = 0.15
-"""Of a sky of one colour: burnt out, or cut away by a program."""
+"""Chance of a sky of one colour: burnt out, or cut away by a program."""
 _PANORAMA_DEG = 90.0
 _LEAST_CONTRAST = 2.5
 """Levels between sky and ground below which no eye would see a skyline."""
@@ -74,7 +74,10 @@ def _drawn(seed: int, index: int) -> TrainingPhoto:
 
 
 def _plain_photo(seed: tuple[int, ...]) -> TrainingPhoto:
-    """Draw one photograph in the other, plainer way, whose pixels have no labels."""
+    """Draw one photograph in the other, plainer way.
+
+    Its pixels have no labels.
+    """
     rng = np.random.default_rng([11, *seed])
     recipe = CONDITIONS[str(rng.choice(list(CONDITIONS)))]
     photo = draw_recipe(rng, replace(recipe, size_px=_SIZE_PX))
@@ -87,9 +90,10 @@ def _plain_photo(seed: tuple[int, ...]) -> TrainingPhoto:
 def draw_training_photo(
     seed: tuple[int, ...], width: int, height: int, fov_deg: tuple[float, float] = (22.0, 85.0)
 ) -> TrainingPhoto:
-    """Draw one photograph; those whose last seeds lie in one eighth share their relief.
+    """Draw one photograph.
 
-    One of more than 90 degrees is a panorama: its horizon sags, and it is stitched.
+    Photographs whose last seeds lie in one eighth share their relief. A photograph of more than 90
+    degrees is a panorama: its horizon sags, and it is stitched.
     """
     rng = np.random.default_rng(seed)
     skyline_px = rng.uniform(0.15, 0.7) * height
@@ -133,7 +137,10 @@ def draw_training_photo(
 
 
 def _seen(row: Float32Array, label: UInt8Array, image: UInt8Array) -> Float32Array:
-    """Drop the skyline where what lies about it is not sky above ground, or looks the same."""
+    """Drop the skyline where it does not separate sky from ground.
+
+    It also goes where sky and ground look the same.
+    """
     height, width = label.shape
     smooth = cv2.blur(image.astype(np.float32), (5, 3))
     at = np.nan_to_num(row, nan=0.0)
@@ -175,7 +182,10 @@ def _far_ridges(drawing: Drawing) -> None:
 
 
 def _near_slope(drawing: Drawing) -> None:
-    """Put a slope or a knoll before mountains, often veiled, dark or bare or with its own trees."""
+    """Put a slope or a knoll before mountains.
+
+    It is often veiled; it is dark or bare, or has its own trees.
+    """
     rng, (height, width), row, label = drawing.rng, drawing.size, drawing.row, drawing.label
     veil = rng.choice([0.0, rng.uniform(0.2, 0.88)])
     drawing.picture += (veil * (label == GROUND))[..., np.newaxis] * (
@@ -226,7 +236,10 @@ def _mirror(drawing: Drawing) -> None:
 
 
 def _banks(drawing: Drawing) -> None:
-    """Lay clouds on the ridge: they hide it, and where they end is no skyline."""
+    """Lay clouds on the ridge.
+
+    They hide it, and where they end is no skyline.
+    """
     rng, (height, width), row = drawing.rng, drawing.size, drawing.row
     known = np.flatnonzero(np.isfinite(row))
     if not known.size:
@@ -246,7 +259,10 @@ def _banks(drawing: Drawing) -> None:
 
 
 def stitch(drawing: Drawing) -> None:
-    """Make a panorama of a picture as phones do: a horizon that sags, and seams in tone and row."""
+    """Make a panorama of a picture as phones do.
+
+    Its horizon sags, and it has seams in tone and row.
+    """
     rng, (height, width) = drawing.rng, drawing.size
     across = np.linspace(-1.0, 1.0, width, dtype=np.float32)
     sag = rng.normal(0.0, 0.04) * across**2 + rng.normal(0.0, 0.02) * np.sin(
@@ -330,7 +346,10 @@ _OCCLUDER_RGB = {
 
 
 def put_before(picture: Float64Array, occluder: Occluder, generator: np.random.Generator) -> None:
-    """Paint something near over a picture (H, W, 3), from its top down."""
+    """Paint something near over a picture (H, W, 3).
+
+    It is painted from its top down.
+    """
     start, stop = occluder.columns
     rows = np.arange(len(picture))[:, np.newaxis]
     covered = np.clip(rows + 0.5 - occluder.row_px, 0.0, 1.0)
@@ -345,11 +364,11 @@ def put_before(picture: Float64Array, occluder: Occluder, generator: np.random.G
 def draw_photo(
     renderer: DepthRenderer, query: SyntheticQuery, seed: int, scenery: Scenery
 ) -> UInt8Array:
-    """Return the RGB photograph (H, W, 3) of a synthetic query, its occluders in front.
+    """Return the RGB photograph (H, W, 3) of a synthetic query.
 
-    Sky and ground meet exactly at ``query.row_px``, the border pixels mixed from both; the depth
-    images behind decide only what the ground looks like. ``renderer`` must draw the terrain the
-    query was made from.
+    Its occluders are in front. Sky and ground meet exactly at ``query.row_px``, the border pixels
+    mixed from both; the depth images behind decide only what the ground looks like. ``renderer``
+    must draw the terrain the query was made from.
     """
     generator, truth = np.random.default_rng(seed), query.truth
     camera = truth.camera(query.skyline.width_px, query.skyline.height_px)
@@ -372,7 +391,7 @@ def draw_photo(
 
 
 def _bent(image: UInt8Array, distortion: float) -> UInt8Array:
-    """Return a photo (H, W, 3) of a pin-hole camera as a lens with a distortion shows it."""
+    """Return a pin-hole's photo (H, W, 3) through a lens with distortion."""
     height, width = image.shape[:2]
     across = np.tile((2.0 * np.arange(width) + 1.0) / width - 1.0, (height, 1))
     above = np.tile(((height - 1.0 - 2.0 * np.arange(height)) / width)[:, np.newaxis], (1, width))
@@ -390,13 +409,17 @@ _WEST_M, _NORTH_M = 600_000.0, 5_180_000.0
 _RENDERED_PX = 1024
 """Columns of the depth images of a heading, of 90 degrees."""
 _POSES = 4
-"""Poses of which the one that shows most skyline is drawn: most others show a slope alone."""
+"""Poses that are tried for a photo. The pose that shows most skyline is drawn, since most others
+show a slope alone."""
 _PLACES_SHARE = 0.3
 """Share of the terrain, at its middle, in which eyes stand."""
 
 
 def draw_view(seed: tuple[int, ...], terrain_seed: int, size_px: tuple[int, int]) -> TrainingPhoto:
-    """Draw one photograph from a random place of made terrain, in random weather."""
+    """Draw one photograph from a random place, in random weather.
+
+    The terrain is made.
+    """
     rng = np.random.default_rng([13, *seed])
     terrain = _terrain(terrain_seed)
     bottom, top = terrain.height_range_m

@@ -1,8 +1,8 @@
-"""Drawn mountain photos, hard ones, with known skylines, from which an extractor learns.
+"""Drawn mountain photos with known skylines, without terrain.
 
-They use no terrain and no renderer, but fractal ridges in front of one another, shaded rock, snow,
-haze, skies and clouds, things in front, and the effects of camera and file. A `Recipe` says how
-much of each; `CONDITIONS` names the recipes.
+They are hard, and an extractor learns from them. They are drawn without a renderer, from fractal
+ridges in front of one another, shaded rock, snow, haze, skies and clouds, things in front, and the
+effects of camera and file. A `Recipe` says how much of each; `CONDITIONS` names the recipes.
 """
 
 from collections.abc import Mapping
@@ -114,7 +114,10 @@ _Cover = tuple[Float32Array, ArrayLike]
 def _fractal(
     rng: np.random.Generator, shape: tuple[int, int], slope: float, stretch: float = 1.0
 ) -> Float32Array:
-    """Return noise of unit deviation with a power-law spectrum, ``stretch`` times as wide."""
+    """Return noise of unit deviation with a power-law spectrum.
+
+    It is ``stretch`` times as wide.
+    """
     padded = (2 * ((shape[0] + 65) // 2), 2 * ((shape[1] + 65) // 2))
     down = np.fft.fftfreq(padded[0])[:, np.newaxis]
     across = np.fft.rfftfreq(padded[1])[np.newaxis, :] * stretch
@@ -126,7 +129,10 @@ def _fractal(
 
 
 def _ridge(rng: np.random.Generator, width: int, height: int, level: float) -> Float64Array:
-    """Return rows of a ridge: a few peaks, and roughness at all scales."""
+    """Return rows of a ridge.
+
+    It has a few peaks, and roughness at all scales.
+    """
     columns = np.arange(width) / height
     row = np.full(width, level * height)
     for _ in range(max(3, round(4 * width / height))):
@@ -159,7 +165,10 @@ def _sky(rng: np.random.Generator, recipe: Recipe) -> Float32Array:
 def _mountains(
     rng: np.random.Generator, recipe: Recipe, sky: Float32Array
 ) -> tuple[Float32Array, Float64Array]:
-    """Return ridges before the sky, from the farthest to the nearest, and their skyline."""
+    """Return ridges before the sky, and their skyline.
+
+    Ridges come in order from the farthest to the nearest.
+    """
     height, width = sky.shape[:2]
     picture, skyline = sky.copy(), np.full(width, np.inf)
     horizon = np.array(_SKIES[recipe.sky][1], np.float32)
@@ -179,7 +188,10 @@ def _mountains(
 def _ground(
     rng: np.random.Generator, recipe: Recipe, row: Float64Array, height: int
 ) -> Float32Array:
-    """Return a mountainside lit from the left: rock above, meadow and forest below, snow on top."""
+    """Return a mountainside that is lit from the left.
+
+    It has rock above, meadow and forest below, and snow on top.
+    """
     shape = (height, len(row))
     relief = _fractal(rng, shape, 1.7)
     light = np.clip(0.75 + 3.0 * np.gradient(relief, axis=1) * height / 100.0, 0.3, 1.25)
@@ -199,7 +211,10 @@ def _ground(
 
 
 def _mirror(rng: np.random.Generator, picture: Float32Array) -> None:
-    """Mirror what lies above a shore in the water below it, rippled and darkened."""
+    """Mirror what lies above a shore in the water below.
+
+    The image is rippled and darkened.
+    """
     shore = int(rng.uniform(0.68, 0.8) * len(picture))
     deep = len(picture) - shore
     mirrored = picture[shore - deep : shore][::-1]
@@ -220,7 +235,10 @@ def _hidden_by(rng: np.random.Generator, recipe: Recipe, row_px: Float64Array) -
 
 
 def _bank(rng: np.random.Generator, recipe: Recipe, row_px: Float64Array) -> _Cover:
-    """Return a cloud on the ridge; its colour is the horizon's, or nearly white."""
+    """Return a cloud on the ridge.
+
+    Its colour is the horizon's, or nearly white.
+    """
     width, height = recipe.size_px
     column = rng.uniform(0.0, width)
     at = row_px[int(column)] - rng.uniform(-0.03, 0.05) * height
@@ -233,7 +251,10 @@ def _bank(rng: np.random.Generator, recipe: Recipe, row_px: Float64Array) -> _Co
 
 
 def _tree(rng: np.random.Generator, width: int, height: int) -> Float32Array:
-    """Return a conifer: a ragged cone, most of them near the photo's sides."""
+    """Return a conifer, a ragged cone.
+
+    Most stand near the photo's sides.
+    """
     side = rng.choice([0.0, 1.0])
     centre = (side + (1.0 - 2.0 * side) * rng.exponential(0.12)) * width
     top, half = rng.uniform(0.02, 0.45) * height, rng.uniform(0.03, 0.08) * width
@@ -248,7 +269,10 @@ def _tree(rng: np.random.Generator, width: int, height: int) -> Float32Array:
 
 
 def _person(rng: np.random.Generator, width: int, height: int) -> Float32Array:
-    """Return a head on shoulders that rise to about the ridge or over it."""
+    """Return a head on shoulders, about as high as the ridge.
+
+    It may rise over the ridge.
+    """
     rows, columns = np.mgrid[0:height, 0:width].astype(np.float32)
     size = rng.uniform(0.05, 0.12) * height
     at, top = rng.uniform(0.1, 0.9) * width, rng.uniform(0.1, 0.45) * height
@@ -276,7 +300,10 @@ def _wire(rng: np.random.Generator, width: int, height: int) -> Float32Array:
 def _frame(
     rng: np.random.Generator, picture: Float32Array, row_px: Float64Array, visible: BoolArray
 ) -> None:
-    """Draw a border, a caption bar with text below, and a logo in the sky."""
+    """Draw a border, a caption bar and a logo.
+
+    The bar with text is below, and the logo in the sky.
+    """
     height, width = picture.shape[:2]
     border, bar = int(rng.uniform(0.01, 0.04) * width), int(rng.uniform(0.05, 0.12) * height)
     colour = 255.0 if rng.random() < 0.5 else 0.0

@@ -11,48 +11,46 @@ from skyline.cli.app import command_line, command_of, run_app
 
 COMMANDS = {
     "Photos": {
-        "locate": "Find where photos were taken, fetching the elevation of the area and "
-        "building its store.",
+        "locate": "Find where photos were taken, fetching the elevation of the area.",
         "match": "Find where photos were taken and in which direction the camera looked.",
-        "orient": "Find how cameras were held at a known position: heading, pitch, roll and "
-        "field of view.",
-        "label": "Write the names and distances of the summits in a photo on a copy of it.",
-        "pixels": "Give the position on the terrain that each pixel of a photo shows.",
-        "extract": "Find the skyline in a photo and write it as a trace that a person can correct.",
-        "serve": "Serve a page for the browser: drop photos, mend skylines, find places, "
-        "fit by hand.",
+        "orient": "Find how cameras were held at a known position.",
+        "label": "Write the names of summits on a copy of a photo.",
+        "pixels": "Give the position on the terrain of each pixel of a photo.",
+        "extract": "Find the skyline in a photo and write it as a trace.",
+        "serve": "Serve a page that finds the places of photos in a browser.",
     },
     "Stores": {
         "build": "Build the store that `match` searches. After Ctrl-C, the same command continues.",
-        "render": "Render views to grid north, east, south and west into a store, for the "
-        "paper's matcher.",
+        "render": "Render views into a store, for the paper's matcher.",
         "store": "Check, repair, merge and export stores.",
     },
     "Views from a position": {
-        "horizon": "Give the horizon at positions: elevation angle and distance by "
-        "azimuth from true north.",
-        "sun": "Print when the sun is above the mountains on a day: CSV of times in UTC "
-        "(extra `sun`).",
-        "panorama": "Draw the view from a position, with the names of the peaks in sight.",
+        "horizon": "Give the horizon at positions, by azimuth from true north.",
+        "sun": "Print when the sun is above the mountains on a day.",
+        "panorama": "Draw the view from a position, with the peaks' names.",
     },
     "Data": {
         "peaks": "Fetch the named peaks of an area from OpenStreetMap, for `--peaks`.",
         "info": "Describe a DEM, a store, or the OpenGL in use.",
-        "explain": "Show which terrain a skyline depends on, which is left out, and the "
-        "resulting error.",
+        "explain": "Show which terrain a skyline depends on.",
         "dem": "Fetch the elevation of an area: `dem fetch`.",
-        "cache": "List what is kept: elevation tiles and stores of areas, and elevation models "
-        "once read.",
+        "cache": "List what is kept: areas, and elevation models that were read.",
     },
 }
 """Commands by subject, each with the first line of its own help; each has a module of its name."""
 
 
 class _Commands(TyperGroup):
-    """Commands that are loaded when they are called: some need a second to import."""
+    """Commands that are loaded when they are called.
+
+    Some need a second to import.
+    """
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Return the name of a command, the command, which is loaded here, and its arguments."""
+        """Return a command's name, the command, and its arguments.
+
+        The command is loaded here.
+        """
         name, known, rest = super().resolve_command(ctx, args)
         return name, known and loaded(str(known.name)), rest
 

@@ -23,9 +23,10 @@ _HELP = ["-h", "--help"]
 
 
 def command_line(name: str, about: str, commands: type[TyperGroup] | None = None) -> typer.Typer:
-    """Return a command line that prints its help or, with ``--version``, its version.
+    """Return a command line that prints its help or its version.
 
-    ``about`` is the first line of the help; ``commands`` the class of the group of commands.
+    The version is printed with ``--version``. ``about`` is the first line of the help; ``commands``
+    the class of the group of commands.
     """
     app = typer.Typer(
         name=name,
@@ -59,7 +60,10 @@ def command_of(found: Callable[..., Any] | typer.Typer, name: str) -> Any:
 
 
 def _with_quiet(command: Any) -> Any:
-    """Give a command, or all commands of a group, the option ``--quiet``; return it."""
+    """Return a command, or a group, with the option ``--quiet``.
+
+    In a group, all commands get the option.
+    """
     group = getattr(command, "commands", {})
     for one in group.values():
         _with_quiet(one)
@@ -71,7 +75,10 @@ def _with_quiet(command: Any) -> Any:
 
 
 def _without_types(command: Any) -> Any:
-    """Return a command whose flags show no type; Typer would show ``--json <bool>``."""
+    """Return a command whose flags show no type.
+
+    Typer would show ``--json <bool>``.
+    """
     for option in command.get_params(typer.Context(command, help_option_names=_HELP)):
         if getattr(option, "is_flag", False):
             option.metavar = ""
@@ -100,9 +107,10 @@ def _with_option(
 
 
 def run_app(app: typer.Typer, terminal: Terminal | None = None) -> None:
-    """Run a command line; every error is one line, exit code 2 for bad input, 1 for failure.
+    """Run a command line, and exit with its code.
 
-    A command whose output has no reader any more, as after ``| head``, ends with exit code 0.
+    Every error is one line. The exit code is 2 for bad input and 1 for a failure. A command whose
+    output has no reader any more, as after ``| head``, ends with exit code 0.
     """
     terminal = terminal or Terminal()
     _open_streams()
@@ -122,7 +130,8 @@ def run_app(app: typer.Typer, terminal: Terminal | None = None) -> None:
     except _UsageError as error:
         if not error.format_message():
             sys.exit(2)  # A group of commands without a command has printed its help.
-        _fail(terminal, error.format_message(), 2)
+        where = f"; see `{error.ctx.command_path} --help`" if error.ctx else ""
+        _fail(terminal, error.format_message().rstrip(".") + where, 2)
     except (KeyboardInterrupt, typer.Abort):
         _fail(terminal, terminal.stopped(), _INTERRUPTED)
     except MemoryError:
@@ -139,7 +148,10 @@ def _fail(terminal: Terminal, message: str, code: int) -> NoReturn:
 
 
 def _open_streams() -> None:
-    """Open the streams that the shell has closed (``>&-``): no other file must get their number."""
+    """Open the streams that the shell has closed (``>&-``).
+
+    Otherwise another file would get the number of a stream.
+    """
     for number in range(3):
         try:
             os.fstat(number)
@@ -150,7 +162,10 @@ def _open_streams() -> None:
 
 
 def _flush_streams() -> None:
-    """Discard output that cannot be written, for which Python would print an error at its end."""
+    """Discard output that cannot be written.
+
+    Otherwise Python would print an error for it at its end.
+    """
     for stream in (sys.stdout, sys.stderr):
         try:
             stream.flush()

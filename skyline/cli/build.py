@@ -34,8 +34,8 @@ def build(
     output: Annotated[
         Path,
         output_option(
-            "The store to write. One that exists gets the places of other --bounds as well, and "
-            "is refused with any other settings.",
+            "The store to write. If it exists, the places of other --bounds are added to it; all "
+            "other settings must be the same.",
             "STORE.h5",
         ),
     ],
@@ -68,7 +68,10 @@ def build(
 
 
 def _finds_in_words(classes: Sequence[tuple[float, float, float]]) -> str:
-    """Return how many photos 60 degrees wide are expected to be found, by distance."""
+    """Return the share of photos that will be found, in words.
+
+    The photos are 60 degrees wide, and the share is given by the distance of the skyline.
+    """
     shares: list[str] = []
     below_m = 0.0
     for least_m, share, found in reversed(classes):
@@ -79,7 +82,10 @@ def _finds_in_words(classes: Sequence[tuple[float, float, float]]) -> str:
 
 
 def built_in_words(result: BuildResult, path: Path, rows: str) -> str:
-    """Return a sentence on a store's rows, its size, and the time of the new rows."""
+    """Return a sentence on a store's rows and its size.
+
+    It also has the time that new rows took.
+    """
     size = f"{path.stat().st_size / 1e6:.1f} MB"
     if not result.rendered:
         return f"{path}: {result.rows} {rows}, complete: nothing was left to render, {size}"

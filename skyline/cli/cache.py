@@ -19,7 +19,7 @@ def cache(
     clear: Annotated[bool, Option("--clear", help="Remove all of it.")] = False,
     as_json: AsJson = False,
 ) -> None:
-    """List what is kept: elevation tiles and stores of areas, and elevation models once read."""
+    """List what is kept: areas, and elevation models that were read."""
     terminal = Terminal.of(context, as_json)
     areas = [one.to_dict() for one in cached_areas()]
     total = _bytes_of(areas) + kept_bytes()

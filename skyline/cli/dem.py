@@ -8,7 +8,18 @@ from typer import Option
 
 from skyline.cli.options import Area, output_option, parse_bounds
 from skyline.cli.terminal import Terminal
-from skyline.fetch.dem_tiles import SOURCES, fetch_dem
+from skyline.fetch.dem_tiles import DEFAULT_SOURCE, SOURCE_VARIABLE, SOURCES, fetch_dem
+
+TileSource = Annotated[
+    str | None,
+    Option(
+        "--source",
+        metavar="NAME|URL",
+        help=f"Source of tiles: {', '.join(SOURCES)}, or an address with {{lat:02d}}, {{lon:03d}}, "
+        "{ns}, {ew}: the degrees of a tile's south-west corner without signs, and its hemispheres.",
+        show_default=f"${SOURCE_VARIABLE}, else {DEFAULT_SOURCE}",
+    ),
+]
 
 dem = typer.Typer(
     name="dem", help="Fetch the elevation of an area: `dem fetch`.", no_args_is_help=True
@@ -17,7 +28,10 @@ dem = typer.Typer(
 
 @dem.callback()
 def _group() -> None:
-    """Do nothing: with this callback, `fetch` stays a subcommand although it is the only one."""
+    """Do nothing; with this callback, `fetch` stays a subcommand.
+
+    It is the only one, and Typer would otherwise take it for the whole command.
+    """
 
 
 @dem.command()
@@ -25,14 +39,7 @@ def fetch(
     context: typer.Context,
     bounds: Area,
     folder: Annotated[Path, output_option("The folder for the tiles.", "DIR")],
-    source: Annotated[
-        str,
-        Option(
-            metavar="NAME|URL",
-            help=f"{', '.join(SOURCES)}, or an address with {{lat:02d}}, {{lon:03d}}, {{ns}}, "
-            "{ew}: the degrees of a tile's south-west corner without signs, and its hemispheres.",
-        ),
-    ] = "copernicus",
+    source: TileSource = None,
 ) -> None:
     """Fetch elevation tiles (cloud-optimized GeoTIFF), cut to an area, for `build DIR/*.tif`.
 

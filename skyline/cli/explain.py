@@ -19,7 +19,10 @@ def explain(
     crs: Crs = None,
     as_json: AsJson = False,
 ) -> None:
-    """Show which terrain a skyline depends on, which is left out, and the resulting error."""
+    """Show which terrain a skyline depends on.
+
+    The terrain that is left out and the resulting error are shown, too.
+    """
     terminal = Terminal.of(context, as_json)
     position = parse_position(at)
     terrain = read_terrain(terminal, dem, crs)

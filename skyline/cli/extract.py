@@ -31,7 +31,10 @@ def extract(
         Path | None, Option(metavar="ONNX", help="Your own sky segmentation model (extra `onnx`).")
     ] = None,
 ) -> None:
-    """Find the skyline in a photo and write it as a trace that a person can correct."""
+    """Find the skyline in a photo and write it as a trace.
+
+    A person can correct the trace.
+    """
     terminal = Terminal.of(context)
     check_outputs([output, overlay], [photo])
     check_suffix(output, TRACES)

@@ -4,14 +4,17 @@ from collections.abc import Iterator, Mapping
 
 
 def table_of(facts: Mapping[str, object]) -> str:
-    """Return the lines of a table of facts, numbers as options take them."""
+    """Return facts as a table, with numbers as options take them."""
     rows = list(_rows(facts))
     width = max(len(name) for name, _ in rows)
     return "\n".join(f"{name:<{width}}  {text}" for name, text in rows)
 
 
 def _rows(facts: Mapping[str, object], prefix: str = "") -> Iterator[tuple[str, str]]:
-    """Yield name and text of each line; a list of texts has a line for each."""
+    """Yield the name and the text of each line.
+
+    A list of texts has a line for each text.
+    """
     for name, value in facts.items():
         if isinstance(value, Mapping):
             yield from _rows(value, f"{prefix}{name}.")

@@ -58,7 +58,10 @@ def horizon(
     refraction_k: RefractionK = DEFAULT_REFRACTION_K,
     crs: Crs = None,
 ) -> None:
-    """Give the horizon at positions: elevation angle and distance by azimuth from true north."""
+    """Give the horizon at positions, by azimuth from true north.
+
+    It has an elevation angle and a distance for each azimuth.
+    """
     terminal = Terminal.of(context)
     if bool(at) == (viewpoints is not None):
         raise InputError("give positions as --at LON,LAT or as --viewpoints FILE.csv")

@@ -20,7 +20,7 @@ def info(
     path: Annotated[
         list[str] | None,
         Argument(
-            metavar="[DEM...|STORE.h5]",
+            metavar="DEM|STORE.h5",
             help="The files of a DEM, a folder or zip of files, or a store.",
         ),
     ] = None,

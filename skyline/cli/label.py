@@ -36,10 +36,11 @@ def label(
     projection: PhotoProjection = None,
     crs: Crs = None,
 ) -> None:
-    """Write the names and distances of the summits in a photo on a copy of it.
+    """Write the names of summits on a copy of a photo.
 
-    The camera is oriented by the skyline at its position, unless its pose is given.
-    Summits that terrain hides are left out; if none is in view, the photo is written without names.
+    Their distances are written beside the names. The camera is oriented by the
+    skyline at its position, unless its pose is given. Summits that terrain hides
+    are left out; if none is in view, the photo is written without names.
     """
     terminal = Terminal.of(context)
     task = LabelTask(

@@ -7,6 +7,7 @@ import typer
 from typer import Argument, Option
 
 from skyline.batch import entries_of
+from skyline.cli.dem import TileSource
 from skyline.cli.options import DEM_ABOUT, AsJson
 from skyline.cli.photo_options import (
     CameraHeight,
@@ -21,7 +22,6 @@ from skyline.cli.photo_options import (
     entry_of,
 )
 from skyline.cli.terminal import Terminal
-from skyline.fetch.dem_tiles import SOURCES
 from skyline.match.prior import NOTED_KM
 from skyline.tasks.locate import LocateTask, locate_photos
 
@@ -31,7 +31,7 @@ def locate(
     photo: Annotated[
         list[Path],
         Argument(
-            metavar="PHOTO...",
+            metavar="PHOTO",
             help="Photos of one area, folders of them, sky masks, CSV traces or lists. Without "
             f"--near and --bounds, {NOTED_KM:g} km round the photos' own GPS positions are "
             "searched.",
@@ -48,14 +48,7 @@ def locate(
             show_default="tiles are fetched",
         ),
     ] = None,
-    source: Annotated[
-        str | None,
-        Option(
-            metavar="NAME|URL",
-            help=f"Source of tiles, as for `dem fetch`: {', '.join(SOURCES)}, or an address.",
-            show_default="$SKYLINE_DEM_SOURCE, else copernicus",
-        ),
-    ] = None,
+    source: TileSource = None,
     report: Annotated[
         Path, Option(metavar="DIR", help="Write a page with pictures and maps.")
     ] = Path("skyline-report"),
@@ -75,9 +68,10 @@ def locate(
     same_place: SamePlace = False,
     use_gps: UseGps = False,
 ) -> None:
-    """Find where photos were taken, fetching the elevation of the area and building its store.
+    """Find where photos were taken, fetching the elevation of the area.
 
-    Both are kept for the next photo of the area; `skyline cache` lists them.
+    The store of the area is built, too. Both are kept for the next photo of the
+    area; `skyline cache` lists them.
     """
     common = entry_of(
         fov_deg, projection, near, bounds, (heading, heading_slack), eye_height, use_gps, peaks

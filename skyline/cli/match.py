@@ -40,7 +40,7 @@ def match(
     photo: Annotated[
         list[Path],
         Argument(
-            metavar="PHOTO...",
+            metavar="PHOTO",
             help="Photos, folders of them, sky masks (white = sky), CSV traces or lists. A trace "
             "begins with '# width=W height=H' and has the columns column_px,row_px. More stores of "
             "the same DEM may be named before the photos; all stores are searched as one.",

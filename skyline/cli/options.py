@@ -1,4 +1,4 @@
-"""Options that several commands have, and the values that they are read as.
+"""Options that several commands have, and readers of their values.
 
 An option has one name and one meaning in all commands.
 """
@@ -20,12 +20,18 @@ if TYPE_CHECKING:
 
 
 def panel(title: str) -> Callable[..., Any]:
-    """Return a function that makes options listed under a title in the help."""
+    """Return a function that makes options under a title.
+
+    The title is shown in the help.
+    """
     return partial(Option, rich_help_panel=title)
 
 
 def output_option(about: str, metavar: str = "FILE", **shown: Any) -> Any:
-    """Return the option that names the file or the folder that a command writes."""
+    """Return the option that names a command's output.
+
+    The output is a file or a folder.
+    """
     return Option("--output", "-o", metavar=metavar, help=about, **shown)
 
 
@@ -51,7 +57,7 @@ Dem = Annotated[
 ]
 Dems = Annotated[
     list[str],
-    Argument(metavar="DEM...", help="Elevation files of one grid, or folders or zips of files."),
+    Argument(metavar="DEM", help="Elevation files of one grid, or folders or zips of files."),
 ]
 Workers = Annotated[
     str | None,
@@ -124,28 +130,22 @@ SummitWithin = Annotated[
 
 
 def read_terrain(terminal: Terminal, dem: Sequence[str], crs: str | None) -> "HeightField":
-    """Read the elevation model of a command; a note names the step if it takes long.
+    """Read the elevation model of a command.
 
-    Raises `InputError` for a store in its place.
+    If that takes long, a note names the step.
     """
     from skyline.terrain.dem import read_dem  # noqa: PLC0415  (slow to load)
     from skyline.terrain.provenance import DemOptions  # noqa: PLC0415  (slow to load)
 
-    for name in dem:
-        if Path(name).suffix == ".h5" and _is_store(name):
-            raise InputError(f"{name} is a store; name the elevation model from which it was built")
     with terminal.slow("reading the elevation model"):
         return read_dem(dem, DemOptions(crs=crs))
 
 
-def _is_store(name: str) -> bool:
-    from skyline.store.read import is_store  # noqa: PLC0415  (slow to load)
-
-    return is_store(name)
-
-
 def parse_bounds(text: str) -> "Bounds":
-    """Return W, S, E, N in degrees from ``W,S,E,N``; raises `InputError` for anything else."""
+    """Return west, south, east and north, degrees, from ``W,S,E,N``.
+
+    Raises `InputError` for anything else.
+    """
     error = f"--bounds is `{text}`; expected W,S,E,N in degrees, e.g. 9.8,46.7,9.9,46.8"
     west, south, east, north = numbers_of(text.split(","), 4, error)
     return west, south, east, north

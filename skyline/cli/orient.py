@@ -17,7 +17,7 @@ from skyline.cli.photo_options import (
 from skyline.cli.terminal import Terminal
 from skyline.errors import SkylineError, check_suffix, printable
 from skyline.files import STANDARD, check_outputs, write_whole
-from skyline.orientation import DEFAULT_WITHIN_M, Orientation
+from skyline.orientation import DEFAULT_POSITION_SD_M, Orientation
 from skyline.tables import csv_lines
 from skyline.tasks.orient import CameraAt, orient_photos
 
@@ -26,17 +26,18 @@ def orient(
     context: typer.Context,
     photo: Annotated[
         list[Path],
-        Argument(metavar="PHOTO...", help="Photos, folders of them, sky masks or CSV traces."),
+        Argument(metavar="PHOTO", help="Photos, folders of them, sky masks or CSV traces."),
     ],
     dem: Dem,
     at: CameraPosition = None,
     elevation: CameraElevation = None,
-    within: Annotated[
+    position_sd_m: Annotated[
         float | None,
         Option(
+            "--position-sd",
             metavar="M",
             help="Standard deviation of the position, metres.",
-            show_default=f"{DEFAULT_WITHIN_M:g}, or what the GPS notes",
+            show_default=f"{DEFAULT_POSITION_SD_M:g}, or what the GPS notes",
         ),
     ] = None,
     fov_deg: FieldOfView = None,
@@ -48,12 +49,15 @@ def orient(
     as_json: AsJson = False,
     crs: Crs = None,
 ) -> None:
-    """Find how cameras were held at a known position: heading, pitch, roll and field of view."""
+    """Find how cameras were held at a known position.
+
+    The heading, pitch, roll and field of view of each camera are given.
+    """
     terminal = Terminal.of(context, as_json)
     stood = CameraAt(
         lonlat_deg=None if at is None else parse_position(at),
         elevation_m=elevation,
-        within_m=within,
+        position_sd_m=position_sd_m,
     )
     entries = list(entries_of(photo, Entry("", fov_deg, None, projection)))
     check_outputs([output], [*photo, *(Path(one.path) for one in entries)])

@@ -44,7 +44,7 @@ def panorama(
     surface: SurfaceFiles = None,
     crs: Crs = None,
 ) -> None:
-    """Draw the view from a position, with the names of the peaks in sight."""
+    """Draw the view from a position, with the peaks' names."""
     from skyline.report import panorama as pictures  # noqa: PLC0415  (slow to load)
 
     terminal = Terminal.of(context)

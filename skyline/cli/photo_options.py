@@ -1,4 +1,7 @@
-"""Options that commands for photos share: what is known of a photo and of its camera."""
+"""Options that commands for photos share.
+
+They give what is known of a photo and of its camera.
+"""
 
 import math
 from contextlib import suppress
@@ -111,9 +114,10 @@ def entry_of(
     use_gps: bool,
     peaks: Path | None,
 ) -> Entry:
-    """Return an entry with the options that hold for every photo; raises `InputError`.
+    """Return an entry with the options that hold for every photo.
 
-    ``heading`` is a heading and its greatest error.
+    Raises `InputError` for a value that is out of range. ``heading`` is a heading and its greatest
+    error.
     """
     if None in heading and heading != (None, None):
         raise InputError(
@@ -151,7 +155,10 @@ def parse_near(text: str, gazetteer: Path | None) -> tuple[float, float, float]:
 
 
 def is_numbers(text: str) -> bool:
-    """Return whether text is numbers with commas between them; Nan and Inf are towns."""
+    """Return whether text is numbers with commas between them.
+
+    Nan and Inf are towns.
+    """
     with suppress(ValueError):
         return all(math.isfinite(float(part)) for part in text.split(","))
     return False

@@ -1,4 +1,4 @@
-"""``skyline pixels``: the position on the terrain that each pixel of a photo shows."""
+"""``skyline pixels``: the positions that a photo's pixels show."""
 
 from pathlib import Path
 from typing import Annotated
@@ -26,7 +26,7 @@ def pixels(
     projection: PhotoProjection = None,
     crs: Crs = None,
 ) -> None:
-    """Give the position on the terrain that each pixel of a photo shows.
+    """Give the position on the terrain of each pixel of a photo.
 
     Distance, longitude, latitude and elevation are NaN for sky.
     """

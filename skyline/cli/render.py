@@ -107,7 +107,10 @@ def render(
     refraction_k: RefractionK = DEFAULT_REFRACTION_K,
     crs: Crs = None,
 ) -> None:
-    """Render views to grid north, east, south and west into a store, for the paper's matcher."""
+    """Render views into a store, for the paper's matcher.
+
+    The views look to grid north, east, south and west.
+    """
     terminal = Terminal.of(context)
     task = RenderTask(
         dem=tuple(dem),
@@ -138,7 +141,10 @@ def render(
 
 
 def _coverage_in_words(plan: Plan, proof: Verification) -> str:
-    """Return the coverage that a plan predicts, and the share that renderings confirm."""
+    """Return a plan's coverage in words.
+
+    It is the coverage that the plan predicts, and the share that renderings confirm.
+    """
     return (
         f"to {plan.config.threshold_px:.3g} px: coverage {100 * proof.predicted:.1f} % predicted, "
         f"{100 * proof.verified:.1f} % verified by rendering ({proof.sampled} covered locations: "

@@ -15,7 +15,7 @@ def serve(
     photo: Annotated[
         list[Path] | None,
         Argument(
-            metavar="[PHOTO...]",
+            metavar="PHOTO",
             help="Photos that are open on the page at first. More stores of the same DEM may be "
             "named before them; all stores are searched as one.",
         ),
@@ -35,7 +35,11 @@ def serve(
         ),
     ] = "127.0.0.1",
 ) -> None:
-    """Serve a page for the browser: drop photos, mend skylines, find places, fit by hand."""
+    """Serve a page that finds the places of photos in a browser.
+
+    On the page, drop photos, mend their skylines, find places, and fit poses by
+    hand.
+    """
     stores, photos = split_stores(store, photo or [])
     for one in photos:
         if not one.is_file():

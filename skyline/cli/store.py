@@ -25,7 +25,10 @@ store = typer.Typer(
 
 @store.command()
 def check(context: typer.Context, store: StoreFile, as_json: AsJson = False) -> None:
-    """Read a whole store and compare it with its checksums; exit code 2 if it is damaged."""
+    """Read a whole store and compare it with its checksums.
+
+    The exit code is 2 if the store is damaged.
+    """
     terminal = Terminal.of(context, as_json)
     report = check_store(store)
     if as_json:
@@ -45,7 +48,10 @@ def check(context: typer.Context, store: StoreFile, as_json: AsJson = False) -> 
 
 @store.command()
 def repair(context: typer.Context, store: StoreFile, output: NewStore) -> None:
-    """Save the undamaged rows of a store in a new store, in their order."""
+    """Save the undamaged rows of a store in a new store.
+
+    The rows keep their order.
+    """
     terminal = Terminal.of(context)
     report = repair_store(store, output)
     terminal.line(_copied_in_words(report, output))
@@ -57,10 +63,13 @@ def repair(context: typer.Context, store: StoreFile, output: NewStore) -> None:
 @store.command()
 def merge(
     context: typer.Context,
-    stores: Annotated[list[Path], Argument(metavar="STORE.h5...", help="Stores of one DEM.")],
+    stores: Annotated[list[Path], Argument(metavar="STORE.h5", help="Stores of one DEM.")],
     output: NewStore,
 ) -> None:
-    """Join stores of one DEM into one; a place that several have is kept once."""
+    """Join stores of one DEM into one.
+
+    A place that several stores have is kept once.
+    """
     report = merge_stores(stores, output)
     Terminal.of(context).line(_copied_in_words(report, output))
 
@@ -71,7 +80,10 @@ def export(
     store: StoreFile,
     output: Annotated[Path, output_option("The GeoPackage to write.", "FILE.gpkg")],
 ) -> None:
-    """Write the locations of the places as a GeoPackage, for QGIS and others (extra `geo`)."""
+    """Write the locations of a store's places as a GeoPackage.
+
+    QGIS and other programs read it. The extra `geo` is needed.
+    """
     from skyline.report.exports import write_geopackage  # noqa: PLC0415  (slow to load)
 
     with open_store(store) as opened:

@@ -25,7 +25,10 @@ def sun(
     summit_within: SummitWithin = None,
     crs: Crs = None,
 ) -> None:
-    """Print when the sun is above the mountains on a day: CSV of times in UTC (extra `sun`)."""
+    """Print when the sun is above the mountains on a day.
+
+    The result is a CSV of times in UTC. The extra `sun` is needed.
+    """
     terminal = Terminal.of(context)
     asked = day_of(day)
     positions = [parse_position(text) for text in at]

@@ -1,4 +1,4 @@
-"""The terminal of one run of a command: results, notes, errors and progress.
+"""The terminal of a command: results, notes, errors and progress.
 
 An error is one line; progress is a bar.
 """
@@ -53,31 +53,46 @@ class Terminal:
 
     @classmethod
     def of(cls, context: typer.Context, as_json: bool = False) -> "Terminal":
-        """Return the terminal of a running command, which prints results as text or as JSON."""
+        """Return the terminal of a running command.
+
+        It prints results as text or as JSON.
+        """
         terminal = context.obj
         assert isinstance(terminal, cls)
         terminal.as_json = as_json
         return terminal
 
     def line(self, text: str) -> None:
-        """Print one line to standard output; characters that cannot be shown are escaped."""
+        """Print one line to standard output.
+
+        Characters that cannot be shown are escaped.
+        """
         typer.echo(printable(text))
 
     def result(self, record: Mapping[str, Any], text: str) -> None:
-        """Print a result: its record in one line of JSON, or the lines of its text."""
+        """Print a result.
+
+        It is printed as its record in one line of JSON, or as the lines of its text.
+        """
         for line in [json.dumps(record)] if self.as_json else text.splitlines():
             self.line(line)
 
     def remark(self, text: str) -> None:
-        """Print a line beside the results, or a note if they are JSON."""
+        """Print a line beside the results; a note beside JSON."""
         (self.note if self.as_json else self.line)(text)
 
     def written(self, output: Path, text: str) -> None:
-        """Print a line about a written file, or a note if the file is standard output."""
+        """Print a line about a written file.
+
+        It is a note if the file is standard output.
+        """
         (self.note if str(output) == STANDARD else self.line)(f"{output}: {text}")
 
     def note(self, message: str) -> None:
-        """Print a message as one line to standard error, unless the command is quiet."""
+        """Print a message to standard error, unless the command is quiet.
+
+        It is printed as one line.
+        """
         if not self.is_quiet:
             print_aside(message)
 
@@ -86,7 +101,10 @@ class Terminal:
         print_aside("error: " + " ".join(message.split()))
 
     def keeps(self, advice: str, is_kept: Callable[[], bool] = lambda: True) -> None:
-        """Set the advice that the error after Ctrl-C gives if work of the command was kept."""
+        """Set the advice that the error after Ctrl-C gives.
+
+        It is given only if ``is_kept()`` is true then: the command's work was kept.
+        """
         self._advice = advice
         self._is_kept = is_kept
 
@@ -96,8 +114,9 @@ class Terminal:
 
     @contextmanager
     def progress(self, doing: str) -> "Iterator[Progress]":
-        """Show a bar on standard error from the first step on; yields a function of done and total.
+        """Show a bar on standard error; yields a function of progress.
 
+        The function takes the done steps and their total. The bar appears with the first step.
         Without a terminal, a line names a step that takes long, and one a minute says how far it
         is, and how long the rest takes at the rate since its first step.
         """
@@ -117,7 +136,10 @@ class Terminal:
             yield lambda done, total: bar.update(task, completed=done, total=total, visible=True)
 
     def _notes_on(self, doing: str) -> "Progress":
-        """Return a function of done and total that prints a note a minute."""
+        """Return a function of progress that prints a note a minute.
+
+        The function takes the done steps and their total.
+        """
         noted_s = time.monotonic()
         first: tuple[float, int] | None = None
 

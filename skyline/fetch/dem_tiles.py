@@ -6,6 +6,7 @@ A source has one address for each degree of latitude and longitude.
 import json
 import logging
 import math
+import os
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -35,7 +36,7 @@ from skyline.fetch.remote import (
     with_remote,
 )
 from skyline.files import check_folder, for_gdal, write_whole
-from skyline.geodesy.bounds import Bounds, check_bounds, in_turn, width_deg
+from skyline.geodesy.bounds import Bounds, box_around, check_bounds, in_turn, width_deg
 from skyline.terrain.raster_files import bands_of, without_secrets
 
 MAX_TILES = 64
@@ -49,6 +50,10 @@ SOURCES = {
     )
 }
 """The addresses of named sources: Copernicus GLO-30, a surface model of 1 arc-second, on AWS."""
+
+SOURCE_VARIABLE = "SKYLINE_DEM_SOURCE"
+"""The environment variable that names the source that is used by default."""
+DEFAULT_SOURCE = "copernicus"
 
 _TAG = "SKYLINE_FETCH"
 """The GeoTIFF tag in which a file keeps its source and its bounds."""
@@ -124,9 +129,16 @@ class _Failures:
         )
 
 
+def source_of(given: str | None) -> str:
+    """Return a given source, else the environment's, else Copernicus."""
+    if given is not None:
+        return given
+    return os.environ.get(SOURCE_VARIABLE) or DEFAULT_SOURCE
+
+
 def fetch_dem(
     bounds_deg: Bounds,
-    source: str,
+    source: str | None,
     folder: Path,
     progress: Progress | None = None,
     earlier: Sequence[Path] = (),
@@ -140,16 +152,18 @@ def fetch_dem(
 
     ``source`` is a name in `SOURCES`, or an http or https address. In an address ``{lat}`` and
     ``{lon}`` stand for the whole degrees, without sign, of a tile's south-west corner, ``{ns}`` and
-    ``{ew}`` for its hemispheres (N or S, E or W); numbers take a width, as in ``{lat:02d}``. The
-    folder is made if it does not exist. Files are named after their tile: ``N46E009.tif``. A
-    request that fails, or has no answer in time, is repeated (``patience``). Samples of
-    the same source are copied from ``earlier``, the folders of earlier fetches.
+    ``{ew}`` for its hemispheres (N or S, E or W); numbers take a width, as in ``{lat:02d}``. None
+    stands for the source of `source_of`. The folder is made if it does not exist. Files are named
+    after their tile: ``N46E009.tif``. A request that fails, or has no answer in time, is repeated
+    (``patience``). Samples of the same source are copied from ``earlier``, the folders of earlier
+    fetches.
 
     Raises `InputError` where the bounds or the source are not usable, the area is too large or has
     no tile, or a file is in the way or cannot be written. Raises `FetchError` where tiles could not
     be fetched after the retries; the others are fetched first, unless the server does not answer or
     fails for two tiles in a row.
     """
+    source = source_of(source)
     template = SOURCES.get(source, source)
     _check_template(template)
     corners = tile_corners(bounds_deg)
@@ -254,7 +268,7 @@ def _cut_of(
                 "folder, or move it"
             )
         held_deg = tuple(held["bounds_deg"])
-        bounds_deg = _around(held_deg, bounds_deg)
+        bounds_deg = box_around(held_deg, bounds_deg)
         if bounds_deg == held_deg:
             return None
     tag = json.dumps({"source": source, "bounds_deg": bounds_deg})
@@ -264,17 +278,6 @@ def _cut_of(
         return _Cut(url, path, tag, _window(url, file, corner, bounds_deg), file.dtypes[0])
 
     return with_remote(url, look, patience)
-
-
-def _around(one: Bounds, other: Bounds) -> Bounds:
-    """Return the box around two boxes in one tile."""
-
-    def start(box: Bounds) -> float:
-        return float(in_turn(box[0], one[0]))
-
-    west = min(one, other, key=start)[0]
-    east = max(one, other, key=lambda box: start(box) + width_deg(box))[2]
-    return west, min(one[1], other[1]), east, max(one[3], other[3])
 
 
 def _check_usable(url: str, file: Any) -> None:

@@ -1,4 +1,7 @@
-"""Named peaks of an area from an Overpass server, which answers queries of OpenStreetMap."""
+"""Named peaks of an area from an Overpass server.
+
+Such a server answers queries of OpenStreetMap.
+"""
 
 import http.client
 import json

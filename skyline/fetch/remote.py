@@ -1,4 +1,7 @@
-"""Requests to servers, repeated where that may help; a request that fails has a one-line error."""
+"""Requests to servers, repeated where that may help.
+
+A request that fails raises an error of one line.
+"""
 
 import re
 import time

@@ -1,1 +1,1 @@
-"""Where things are on the Earth and on a map, and which way north is."""
+"""Positions on the Earth and on maps, and directions from north."""

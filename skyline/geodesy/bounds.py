@@ -1,4 +1,4 @@
-"""Degrees: boxes of longitudes and latitudes, turns, and distances in words for people.
+"""Boxes of longitudes and latitudes, turns, and distances in words.
 
 Azimuths inside the program are from grid north; people read azimuths from true north, and degrees
 of WGS 84.
@@ -51,6 +51,27 @@ def width_deg(bounds_deg: Bounds) -> float:
     """Return a box's width in degrees of longitude, up to 360."""
     west, _, east, _ = bounds_deg
     return east - west if west <= east else east - west + 360.0
+
+
+def box_around(one: Bounds, other: Bounds) -> Bounds:
+    """Return the box around two boxes that are less than half a turn apart."""
+
+    def start_deg(box: Bounds) -> float:
+        return float(in_turn(box[0], one[0]))
+
+    west = min(one, other, key=start_deg)[0]
+    east = max(one, other, key=lambda box: start_deg(box) + width_deg(box))[2]
+    return west, min(one[1], other[1]), east, max(one[3], other[3])
+
+
+def contains_box(outer: Bounds, inner: Bounds) -> bool:
+    """Return whether a box holds all of another."""
+    off_deg = (inner[0] - outer[0]) % 360.0
+    return (
+        off_deg + width_deg(inner) <= width_deg(outer)
+        and outer[1] <= inner[1]
+        and inner[3] <= outer[3]
+    )
 
 
 def in_turn(angle_deg: ArrayLike, about_deg: float = 0.0) -> Float64Array:

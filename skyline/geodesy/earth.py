@@ -1,4 +1,4 @@
-"""The Earth: its radius, its curvature less refraction, and the range of its ground."""
+"""The Earth's radius, curvature less refraction, and range of ground."""
 
 from dataclasses import dataclass
 

@@ -47,7 +47,7 @@ class BentImages:
     were ten times fewer, their log odds would fall by 2.4."""
     lens_distortion: float = 0.035
     """Scale of the exponential distribution of barrel distortion among lenses that draw straight
-    lines straight. Of those in lensfun's database that are wider than 75 degrees, 171 settings, the
+    lines straight. Of such lenses in lensfun's database wider than 75 degrees, 171 settings, the
     distortions have an rms of 0.048, and 1 % exceed 0.17."""
     fisheye_sd: float = 0.06
     """Standard deviation of the term of `skyline.camera.fisheye_off_axis_rad`."""

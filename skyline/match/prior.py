@@ -140,7 +140,7 @@ class PlacePrior:
         grid_heading_deg = noted.heading_deg
         if grid_heading_deg is not None:
             grid_heading_deg -= float(frame.convergence_deg(easting_m=east, northing_m=north))
-        sd_m = position_sd_m(noted)
+        sd_m = noted_position_sd_m(noted)
         compass_sd_deg = (
             _EXIF.compass_sd_deg if noted.is_magnetic is False else _EXIF.magnetic_sd_deg
         )
@@ -277,7 +277,7 @@ class Standing:
         cost = sum(one.cost(DEFAULT_EYE_HEIGHT_M) for one in heights) - math.log(peak)
         found = [replace(on_ground, cost=cost)]
         for height in sorted(heights, key=lambda one: one.sd_m):
-            above_m = height.height_m
+            above_m = height.above_m
             if above_m - DEFAULT_EYE_HEIGHT_M <= _ALOFT.least_sds * ground.height_sd_m:
                 continue
             if any(abs(above_m - other.eye.usual_m) <= height.sd_m for other in found[1:]):
@@ -302,15 +302,15 @@ class _NotedHeight:
     Its error is distributed as in `PlacePrior`.
     """
 
-    height_m: float
+    above_m: float
     sd_m: float
     """Scale of the error above the ground, whose elevation is not quite known."""
     elevation_sd_m: float
     """Scale of the error of the elevation."""
 
-    def cost(self, height_m: float) -> float:
+    def cost(self, above_m: float) -> float:
         """Return the negative log density of noting this height at another one."""
-        off = (height_m - self.height_m) / self.sd_m
+        off = (above_m - self.above_m) / self.sd_m
         return _EXIF.height_tail * math.log1p(off**2) + math.log(2.0 * self.sd_m)
 
 
@@ -327,7 +327,7 @@ def _noted_heights(noted: NotedPlace, ground: KnownGround) -> list[_NotedHeight]
     return found
 
 
-def position_sd_m(noted: NotedPlace) -> float:
+def noted_position_sd_m(noted: NotedPlace) -> float:
     """Return the scale of the error of a photo's position."""
     return max(_EXIF.least_position_sd_m, noted.accuracy_m or GPS_SD_M)
 

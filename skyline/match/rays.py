@@ -26,7 +26,7 @@ usual zoom lens."""
 
 @dataclass(frozen=True, slots=True)
 class CameraModel:
-    """What is expected of the lenses and the panoramas of photos."""
+    """What is assumed about the lenses and the panoramas of photos."""
 
     distortion_sd: float = 0.01
     """Standard deviation of a lens's distortion. The distortions of 3,500 lenses in lensfun's
@@ -134,15 +134,15 @@ class Rays(ImagePoints):
         return sd_rad / (fov_rad if self.is_panorama else math.sin(fov_rad))
 
     def searched_fov_deg(self, log_scale: Float64Array) -> Float64Array:
-        """Return the fields of view of factors, as `fov_at`, within `fov_bounds_deg`."""
+        """Return `fov_at` of factors, held within `fov_bounds_deg`."""
         return np.asarray(np.clip(self.fov_at(log_scale), *self.fov_bounds_deg))
 
     @property
     def warp_sd(self) -> Float64Array:
         """Standard deviations (K,) of how an image may be warped.
 
-        One of the distortion of a lens that may distort, and one for each column of a panorama's
-        `wander`.
+        There is one for the distortion of a lens that may distort, and one for each column of a
+        panorama's `wander`.
         """
         if self.is_panorama:
             grown = math.sqrt(self.fov_deg / _CAMERAS.wander_fov_deg)

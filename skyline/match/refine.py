@@ -61,7 +61,8 @@ class Moves:
     """How poses move from one rendering to the next."""
 
     separation_m: float = 12.0
-    """Poses nearer to each other, that look within `SAME_VIEW_DEG` of each other, are one."""
+    """Poses that are nearer to each other count as one, if they look within `SAME_VIEW_DEG` of each
+    other."""
     rivals: int = 3
     """Best poses of other answers, and best distant poses, that are kept to the end beside the best
     pose: their fits show how sure an answer is."""
@@ -80,7 +81,7 @@ class Moves:
     shorter: float = 0.4
     """Factor on the next step after a step was not kept."""
     settling: int = 3
-    """Fits without a step after which the chosen errors no longer change."""
+    """Number of fits without a step, after which the chosen errors no longer change."""
     sector_margin_deg: float = 3.0
     """A view is rendered if the photo comes this near to it."""
 
@@ -353,7 +354,7 @@ class Refinement:
             terrain_share=shown / trust.sum(),
             skyline_m=1.0 / np.maximum(nearness, 1e-6),
             effective_columns=found.effective_columns,
-            height_sd_m=solver.heights_m[particles.fit.height],
+            height_sd_m=solver.height_sds_m[particles.fit.height_index],
             beyond_share=np.asarray((solver.beyond_rad(linear) > 0.0) @ trust / trust.sum()),
             margin=poses.rival_margin(RIGHT_WITHIN_M, SAME_VIEW_DEG),
             far_margin=poses.rival_margin(ROUGHLY_WITHIN_M, SAME_VIEW_DEG),

@@ -65,7 +65,7 @@ class MatchResult:
         Why there is no answer, where there is none.
     within_m : float or None
         Distance within which the answer is sure to be right: 200 m, or 1 km where only that is
-        sure. None without an answer, and for matchers without a confidence.
+        sure. None without an answer.
     name : str
         The photo's file, as it was given to the matcher; empty for a `PhotoSkyline`.
     id : str
@@ -368,7 +368,8 @@ class JointResult:
         for one in self.results:
             about: dict[str, Any] = {"refusal": one.refusal}
             if one.best is not None:
-                about = {name: getattr(one.best, name) for name in _OF_CAMERA}
+                of_best = one.best.to_dict()
+                about = {name: of_best[name] for name in _OF_CAMERA}
             agrees = one.best is not None
             names = {"photo": printable(one.name), **({"id": printable(one.id)} if one.id else {})}
             photos.append({**names, "agrees": agrees, **about})

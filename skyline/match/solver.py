@@ -48,7 +48,7 @@ not modelled."""
 _WIDEST_ANGLE = len(ANGLES_DEG) - 1
 _WIDEST_HEIGHT = len(HEIGHT_SHARES) - 1
 _NEIGHBOURS = ((-1, 0), (0, -1), (1, 0), (0, 1))
-"""Steps that are tried of the indices into `ANGLES_DEG` and `HEIGHT_SHARES`."""
+"""Steps of the indices into `ANGLES_DEG` and `HEIGHT_SHARES` that are tried."""
 _MOVES = slice(EAST, HEADING)
 """The columns of a state that move the eye."""
 _AGREEMENT_RAD = np.radians(np.arange(-4.0, 4.01, 0.25))
@@ -179,9 +179,9 @@ class Fit(Rows):
 
     state: Float64Array
     """(M, P) float64. See `EAST` to `WARP`; displacements are from the eye of the curve."""
-    angle: IntArray
+    angle_index: IntArray
     """(M,) intp. Chosen deviation of the photo's error, as an index into `ANGLES_DEG`."""
-    height: IntArray
+    height_index: IntArray
     """(M,) intp. Chosen deviation of the heights, as an index into `HEIGHT_SHARES`."""
     cost: Float64Array
     """(M,) float64. Negative log of the likelihood and the priors, integrated over the attitude;
@@ -234,7 +234,7 @@ class Solver:
         self._eye = eye
         self._noted = noted
         self._edge = edge
-        self.heights_m = HEIGHT_SHARES * height_sd_m
+        self.height_sds_m = HEIGHT_SHARES * height_sd_m
         """Standard deviations of the terrain model's heights that are tried."""
         low, high = rays.log_scale_bounds
         self.size = size = WARP + len(rays.warp_sd)
@@ -277,10 +277,10 @@ class Solver:
         state[:, LOG_SCALE] = np.clip(log_scale, self._low[LOG_SCALE], self._high[LOG_SCALE])
         if not self.rays.is_panorama and poses.distortion is not None:
             state[:, WARP:] = poses.distortion[:, np.newaxis]
-        angle = np.full(count, _WIDEST_ANGLE)
-        height = np.full(count, _WIDEST_HEIGHT)
+        angle_index = np.full(count, _WIDEST_ANGLE)
+        height_index = np.full(count, _WIDEST_HEIGHT)
         odds = np.ones((count, len(self.rays.u)))
-        return Fit(state, angle, height, np.full(count, np.inf), odds)
+        return Fit(state, angle_index, height_index, np.full(count, np.inf), odds)
 
     def at_height(self, fit: Fit, height_m: Float64Array) -> Fit:
         """Return fits with eyes at heights (M,) above the ground.
@@ -350,12 +350,12 @@ class Solver:
         agreement = np.tensordot(np.nan_to_num(odds), self.rays.weight, axes=(1, 0))
         state = fit.state.copy()
         state[:, PITCH] -= _AGREEMENT_RAD[np.argmax(agreement, axis=1)]
-        angle = int(np.searchsorted(np.radians(ANGLES_DEG), _AGREEMENT_SD_RAD))
+        agreed = int(np.searchsorted(np.radians(ANGLES_DEG), _AGREEMENT_SD_RAD))
         return replace(
             fit,
             state=state,
-            angle=np.full_like(fit.angle, min(angle, _WIDEST_ANGLE)),
-            height=np.full_like(fit.height, len(HEIGHT_SHARES) // 2),
+            angle_index=np.full_like(fit.angle_index, min(agreed, _WIDEST_ANGLE)),
+            height_index=np.full_like(fit.height_index, len(HEIGHT_SHARES) // 2),
             odds=np.ones_like(fit.odds),
         )
 
@@ -435,8 +435,8 @@ class Solver:
             linear.residual_rad,
             self.rays.weight,
             errors,
-            ANGLES_DEG[fit.angle],
-            self.heights_m[fit.height],
+            ANGLES_DEG[fit.angle_index],
+            self.height_sds_m[fit.height_index],
             fit.odds,
             np.exp(fit.state[:, LOG_SCALE]),
         ).scaled()
@@ -451,7 +451,7 @@ class Solver:
             prior += TEMPERATURE * self._noted.cost(
                 linear.place_m, linear.eye_m, fit.state[:, HEADING]
             )
-        cost = found.cost + 0.5 * log_det + prior + self._height_cost[fit.height]
+        cost = found.cost + 0.5 * log_det + prior + self._height_cost[fit.height_index]
         return replace(found, cost=cost)
 
     def _with_deviations(
@@ -465,24 +465,24 @@ class Solver:
 
         They are the current ones, or those after one of the steps.
         """
-        angle = fit.angle
-        height = fit.height
+        angle_index = fit.angle_index
+        height_index = fit.height_index
         best = self._likelihood(fit, linear, errors)
         fit = replace(fit, odds=best.odds)
         for step in steps:
             other = replace(
                 fit,
-                angle=np.clip(fit.angle + step[0], 0, _WIDEST_ANGLE),
-                height=np.clip(fit.height + step[1], 0, _WIDEST_HEIGHT),
+                angle_index=np.clip(fit.angle_index + step[0], 0, _WIDEST_ANGLE),
+                height_index=np.clip(fit.height_index + step[1], 0, _WIDEST_HEIGHT),
             )
             found = self._likelihood(other, linear, errors)
             better = found.cost < best.cost
             best = best.replaced(better, found)
-            angle = np.where(better, other.angle, angle)
-            height = np.where(better, other.height, height)
+            angle_index = np.where(better, other.angle_index, angle_index)
+            height_index = np.where(better, other.height_index, height_index)
         known = np.isfinite(linear.residual_rad).sum(axis=1) >= _PRIORS.least_columns
         cost = np.where(known, best.cost, np.inf)
-        return Fit(fit.state, angle, height, cost, best.odds), best
+        return Fit(fit.state, angle_index, height_index, cost, best.odds), best
 
     def _stepped(
         self, fit: Fit, linear: Linearization, found: Likelihood, step_m: Float64Array

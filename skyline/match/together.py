@@ -41,7 +41,7 @@ _SEARCH = JointSearch()
 
 
 class JointRefinement:
-    r"""The joint refinement of N photos of one eye by their refinements.
+    r"""The joint refinement of N photos that were taken from one eye.
 
     Each photo has its own attitude and field of view, and all share the eye. A round renders the
     view of each photo from each place, lets each photo solve its own step, and moves the eye by the

@@ -37,7 +37,7 @@ class _Limits:
     """A field of view counts as at an end of the searched range if its distance from the end is
     less than this share of the range: a fit held at a bound may differ from it by rounding."""
     least_of_fit: float = 0.75
-    """Least share of right ones among poses that fit like a given one. The share is learned from
+    """Least share of right poses among those that fit like a given one. The share is learned from
     the best poses of searches; a pose that a person gives is right more often."""
 
 
@@ -51,8 +51,8 @@ class Verdict:
     refusal: str | None = None
     """Why the pose is not the answer; None if it is."""
     within_m: float | None = None
-    """Distance within which the answer is sure to be right, 200 or 1000 m. None without an answer,
-    and for matchers without a confidence."""
+    """Distance within which the answer is sure to be right, 200 or 1000 m. None without an answer.
+    """
 
     @classmethod
     def of_search(
@@ -70,8 +70,15 @@ class Verdict:
         if not candidates:
             return cls("no place fits")
         doubts = [_lack_of_confidence(candidates, config)]
-        refusal = refusal_of(candidates[0], skyline, rays, doubts=doubts, other=other)
-        return cls._on(candidates[0], refusal, config)
+        best = candidates[0]
+        unjudged = None
+        if best.confidence is None and config.min_confidence > 0.0:
+            unjudged = (
+                "the matcher estimates no confidence, so the best place is not judged; look at its "
+                "skyline in a report, or use the full matcher"
+            )
+        refusal = refusal_of(best, skyline, rays, doubts=doubts, ambiguity=unjudged, other=other)
+        return cls._on(best, refusal, config)
 
     @classmethod
     def of_joint_search(

@@ -1,4 +1,4 @@
-r"""Matchers of renderings, which fit a pose at each location of a store.
+r"""Matchers that fit a pose at each location of renderings.
 
 The views of a location are joined to its profile, a skyline all the way round.
 
@@ -69,7 +69,9 @@ _Transforms = tuple[Complex128Array | None, Complex128Array, Complex128Array]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Profiles:
-    """Skylines of L locations all the way round, in B bins of grid azimuth.
+    """Skylines of L locations all the way round.
+
+    Each has B bins of grid azimuth.
 
     `at_pitches` puts a photo's skyline into such bins, with bin B / 2 straight ahead. A photo whose
     bin i lies over bin i + s of a profile therefore looks along azimuth 180 + 360 s / B degrees.
@@ -97,7 +99,10 @@ class Profiles:
 
     @property
     def bin_px(self) -> float:
-        """Width of a bin in px, the unit of elevation at the horizon."""
+        """Width of a bin in px.
+
+        Elevations at the horizon have the same unit.
+        """
         return 2.0 * np.pi / self.bins / TANGENT_PER_PX
 
     def poses(
@@ -108,7 +113,7 @@ class Profiles:
         roll_deg: Float64Array,
         fov_deg: float,
     ) -> Poses:
-        """Return the pose at each location that has a cost and angles (L,)."""
+        """Return the poses at the locations with a cost and angles (L,)."""
         return Poses(
             easting_m=self.eyes.easting_m,
             northing_m=self.eyes.northing_m,
@@ -250,7 +255,10 @@ class CorrelationMatcher(ProfileMatcher):
         return best, pitch_deg, turn
 
     def _ncc(self, transforms: _Transforms, q: Float64Array, weight: Float64Array) -> Float64Array:
-        """Return ncc (L, B) of a photo's curve at every turn, -inf for none."""
+        """Return the ncc (L, B) of a photo's curve at every turn.
+
+        -inf stands for no correlation.
+        """
         # Deviations from the mean keep the differences of sums below well conditioned.
         q = np.where(weight > 0.0, q, 0.0)
         q = np.where(weight > 0.0, q - np.average(q, weights=weight), 0.0)
@@ -281,9 +289,9 @@ class CorrelationMatcher(ProfileMatcher):
 
 
 def _transformed(y: Float32Array) -> _Transforms:
-    """Return the Fourier transforms (L, B / 2 + 1) of n, y and y**2.
+    """Return the Fourier transforms of n, y and y**2.
 
-    The transform of n is None if n is 1 throughout.
+    They are (L, B / 2 + 1) each. The transform of n is None if n is 1 throughout.
     """
     n = np.isfinite(y).astype(np.float64)
     y0 = np.where(n > 0.0, y, 0.0).astype(np.float64)

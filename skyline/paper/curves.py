@@ -142,7 +142,7 @@ def local_patches(
 
 
 def chamfer_px(a: Float32Array, b: Float32Array, step_px: float) -> Float32Array:
-    """Return the Chamfer distances (M,) in px of pairs of patches, each (M, S).
+    """Return the Chamfer distances (M,), px, of pairs of patches (M, S).
 
     The samples of a patch are points (step_px * i, value). Each point of a patch has a distance to
     the nearest point of the other; the distance of the pair is the mean of these over both patches.
@@ -186,7 +186,7 @@ def _chamfer_block(a: Float32Array, b: Float32Array, step_px: np.float32) -> Flo
 def nearest_patches(
     patches: Float32Array, stored: Float32Array, min_known: int, step_px: float
 ) -> tuple[IntArray, Float32Array]:
-    """Return the stored patch nearest to each of a photo's, and its distance.
+    """Return the nearest stored patches to a photo's, and their distances.
 
     The Chamfer distance is computed for the four stored patches that come nearest by mean squared
     vertical difference, which products of matrices give. Curves that are near by Chamfer distance
@@ -251,10 +251,10 @@ def ransac_maps(source: Float64Array, target: Float64Array, used: BoolArray) -> 
 
 
 def plausible(maps: Float64Array) -> BoolArray:
-    """Return which maps (F, 2, 3) neither mirror, nor turn or scale too much.
+    """Return which maps (F, 2, 3) are plausible.
 
-    A turn is at most 15 degrees, and singular values lie between 1 / 1.25 and 1.25. A map of NaN is
-    not plausible.
+    They do not mirror, and do not turn or scale too much. A turn is at most 15 degrees, and
+    singular values lie between 1 / 1.25 and 1.25. A map of NaN is not plausible.
     """
     max_scale = 1.25
     linear = np.nan_to_num(maps[..., :2])
@@ -275,11 +275,11 @@ def align_curves(
     y_px: Float32Array,
     bin_px: float,
 ) -> Float64Array:
-    """Improve affine maps (C, 2, 3) from a curve to each of C closed curves.
+    """Improve affine maps (C, 2, 3) from a curve to closed curves.
 
-    Six damped steps of Gauss-Newton lessen the vertical distance between the warped points and the
-    closed curve at the azimuth where they land. A point farther off than about `INLIER_PX` counts
-    less and less. A map of NaN stays NaN.
+    There is one map to each of C closed curves. Six damped steps of Gauss-Newton lessen the
+    vertical distance between the warped points and the closed curve at the azimuth where they land.
+    A point farther off than about `INLIER_PX` counts less and less. A map of NaN stays NaN.
 
     The abscissas of the curve's points (R, 2) count from straight ahead, and each point has a
     weight (R,). Ordinates of the closed curves are (C, B), over a whole turn, in bins ``bin_px``
@@ -319,10 +319,11 @@ def align_curves(
 def _normal_equations(
     pull: Float64Array, steepness: Float64Array, miss: Float64Array, points: Float64Array
 ) -> tuple[Float64Array, Float64Array]:
-    """Return matrices (C, 6, 6) and right-hand sides (C, 6) of least squares.
+    """Return the normal equations of least squares.
 
-    A miss changes with the map's entries by (-steepness * p, p), where p are the homogeneous
-    points (R, 3) that all maps share; so all sums over the points are products of two matrices.
+    They are matrices (C, 6, 6) and right-hand sides (C, 6). A miss changes with the map's entries
+    by (-steepness * p, p), where p are the homogeneous points (R, 3) that all maps share; so all
+    sums over the points are products of two matrices.
     """
     outer = (points[:, :, np.newaxis] * points[:, np.newaxis]).reshape(-1, 9)
     slanted = pull * steepness

@@ -10,8 +10,8 @@ pitch and roll.
 These steps take seconds for all locations at all assumed pitches. A shortlist, which is not the
 paper's, chooses the pairs of a location and a pitch that go through them. The skylines, thinned,
 are laid over each other in every direction. A tilt and an affine map near the identity change the
-photo's skyline q(x) to first order by a combination of a few known curves (1, cos x, sin x, q',
-x q'), so the least rms distance after such a warp is that of the difference with those curves
+photo's skyline q(x) to first order by a combination of a few known curves (1, cos x, sin x, q', x
+q'). So the least rms distance after such a warp is the rms of the difference, with those curves
 projected out:
 
 .. math:: \sum w (s - q)^2 - |B^T (s - q)|^2
@@ -123,11 +123,11 @@ class PaperMatcher(ProfileMatcher):
 
 
 def _projected(y: Float64Array, weight: Float64Array) -> tuple[Complex64Array, Float64Array]:
-    """Return a photo's curve q (B,), prepared for distances after a small warp.
+    """Return a photo's curve, prepared for distances after a small warp.
 
-    The curve is given as tangents. Returned are the conjugate Fourier transforms (2 + F, B / 2 + 1)
-    of w, w q and w b, for F curves b of the basis, and the sums (1 + F,) of w q^2 and w b q. The
-    weights w have a sum of 1.
+    The curve q (B,) is given as tangents. Returned are the conjugate Fourier transforms (2 + F, B /
+    2 + 1) of w, w q and w b, for F curves b of the basis, and the sums (1 + F,) of w q^2 and w b q.
+    The weights w have a sum of 1.
     """
     weight = weight / weight.sum()
     bins = np.arange(len(y))
@@ -145,14 +145,18 @@ def _projected(y: Float64Array, weight: Float64Array) -> tuple[Complex64Array, F
 
 
 def _no_fit(locations: int) -> Float64Array:
-    """Return the fits (4, C) of locations where nothing fits: an infinite cost."""
+    """Return fits (4, C) for locations where nothing fits.
+
+    Their cost is infinite.
+    """
     return np.concatenate([np.full((1, locations), np.inf), np.zeros((3, locations))])
 
 
 def _fits(stored: StoredCurves, curve: PhotoCurve) -> Float64Array:
-    """Return the fits (4, C) of a photo at C locations, at one assumed pitch.
+    """Return the fits (4, C) of a photo at one assumed pitch.
 
-    The rows of fits are costs, headings, pitches and rolls.
+    There is one fit at each of C locations. The rows of fits are costs, headings, pitches and
+    rolls.
     """
     if not stored.bins.shape[1] or not len(curve.bins):
         return _no_fit(len(stored))
@@ -174,7 +178,7 @@ def _fits(stored: StoredCurves, curve: PhotoCurve) -> Float64Array:
 def _fits_in_direction(
     stored: StoredCurves, curve: PhotoCurve, shift: IntArray, agreeing: BoolArray
 ) -> Float64Array:
-    """Return the fits (4, C) of the correspondences that agree on a direction."""
+    """Return the fits (4, C) of correspondences that agree in direction."""
     source, target = _corresponding_points(curve, stored, shift)
     used = np.repeat(agreeing, len(curve.local_bins), axis=1)
     used &= np.isfinite(target[..., 1] + source[..., 1])
@@ -192,10 +196,10 @@ def _fits_in_direction(
 def _agreeing_shifts(shift: IntArray, known: BoolArray, bins: int) -> tuple[IntArray, BoolArray]:
     """Unwrap the shifts of correspondences; mark those near a common direction.
 
-    Azimuth is circular and an affine map is not; and a location is seen all the way round, but the
-    paper's reference in one direction. So the direction is found first: the shift with most others
-    within `_Search.vote_turns`. Shifts farther from it than `_Search.reach_turns` can only be
-    outliers and are left out.
+    Azimuth is circular and an affine map is not. A location is seen all the way round, but a
+    reference of the paper in one direction. So the direction is found first: the shift with most
+    others within `_Search.vote_turns`. Shifts farther from it than `_Search.reach_turns` can only
+    be outliers and are left out.
 
     Shifts (C, Q) are the bin of the location less the photo's bin in each correspondence; ``known``
     (C, Q) marks the correspondences that exist. Shifts are returned within half a turn of the
@@ -228,7 +232,7 @@ def _corresponding_points(
 def _distance_after_warp_px(
     affine: Float64Array, curve: PhotoCurve, stored: StoredCurves
 ) -> Float64Array:
-    """Return the rms distances (C,) of a photo's warped skyline from stored ones.
+    """Return the rms distances (C,) of a warped skyline from stored ones.
 
     Each point of the photo's skyline is warped. Its distance is vertical, to the stored skyline at
     the azimuth where it lands; the mean square is by the points' weights. The distance is infinite
@@ -252,7 +256,7 @@ def _distance_after_warp_px(
 def _pose(
     affine: Float64Array, cost: Float64Array, curve: PhotoCurve, stored: StoredCurves
 ) -> Float64Array:
-    """Return the fits (4, C) that follow from maps of the optical axis.
+    """Return the fits (4, C) that follow from maps.
 
     A map shows where the axis goes and how it turns. It is looked at above or below the axis, at
     the skyline's mean height: the points from which the map was made lie there, and its shear is
@@ -273,10 +277,10 @@ def _least_distances_px(
     is_known: BoolArray,
     curves: Sequence[tuple[Complex64Array, Float64Array]],
 ) -> Float32Array:
-    """Return the least distances (L, A) of profiles (L, B) to curves of `_projected`.
+    """Return the least distances (L, A) of profiles to curves.
 
-    There are A curves. A distance is infinite where less than `MIN_OVERLAP` of a curve's weight
-    lands on known profile.
+    Profiles are (L, B), and the A curves come from `_projected`. A distance is infinite where less
+    than `MIN_OVERLAP` of a curve's weight lands on known profile.
     """
     bins = y_px.shape[1]
     least = np.empty((len(y_px), len(curves)), dtype=np.float32)

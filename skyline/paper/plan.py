@@ -79,7 +79,7 @@ class PlanConfig:
 
     @property
     def stride(self) -> int:
-        """Steps between sites from one viewpoint of the coarse grid to the next."""
+        """Number of sites between neighbouring viewpoints of the coarse grid."""
         return max(1, round(self.coarse_m / self.site_spacing_m))
 
     def to_dict(self) -> dict[str, Any]:
@@ -162,7 +162,7 @@ def plan(
 
 
 class _Heading:
-    """The views along one heading, and a planner at work in each square."""
+    """The views along one heading, with a planner for each square."""
 
     def __init__(
         self,
@@ -197,7 +197,10 @@ class _Heading:
         return np.concatenate(asked)
 
     def _checked(self, problem: Problem, chosen: Int64Array) -> Int64Array:
-        """Return what a planner chose; raises `InputError` unless it lies in the region."""
+        """Return the sites that a planner chose.
+
+        Raises `InputError` unless they lie in the region.
+        """
         given = np.asarray(chosen)
         if given.ndim != 1 or not np.isin(given, np.flatnonzero(problem.region)).all():
             raise InputError(
@@ -214,7 +217,7 @@ class _Heading:
         self.coverage.add(viewpoints, self._areas(points, views))
 
     def projected_areas(self, chosen: Int64Array) -> BoolArray:
-        """Return the tolerance areas (N, K, K) of N sites that are not rendered.
+        """Return the tolerance areas (N, K, K) of sites without a rendering.
 
         Each has the skyline points of the nearest rendered view, moved by Equation 1.
         """
@@ -266,7 +269,7 @@ def lay_out(field: HeightField, config: PlanConfig, bounds_m: Rectangle | None =
 
 
 def _can_stand(field: HeightField, easting_m: Float64Array, northing_m: Float64Array) -> BoolArray:
-    """Return where the surface is known up to a sample to every side."""
+    """Return where the surface is known up to a sample around."""
     ground_m = field.height_at(easting_m=easting_m, northing_m=northing_m)
     for east, north in ((-1, 0), (1, 0), (0, -1), (0, 1)):
         ground_m = ground_m + field.height_at(

@@ -24,7 +24,7 @@ from skyline.skylines import HEADINGS, Views, columns_u, pixel_size
 
 @dataclass(frozen=True, slots=True)
 class _WarpFit:
-    """Limits and steps of the fit of an affine warp between two skylines."""
+    """Limits and steps of the fit of a warp between skylines."""
 
     max_change: float = 0.25
     """Greatest change of each entry of the warp's linear part from the identity: with any warp
@@ -51,7 +51,10 @@ class _WarpFit:
 
     @property
     def bounds(self) -> tuple[Float64Array, Float64Array]:
-        """The least and the greatest entries (6,) of a warp; shifts are free."""
+        """The least and the greatest entries (6,) of a warp.
+
+        Shifts are free.
+        """
         most = self.max_change * np.array([1.0, 1.0, np.inf, 1.0, 1.0, np.inf])
         return IDENTITY.ravel() - most, IDENTITY.ravel() + most
 
@@ -61,7 +64,10 @@ _FIT = _WarpFit()
 
 @dataclass(frozen=True, slots=True)
 class Verification:
-    """The share of a plan's coverage that renderings of a sample of locations confirm."""
+    """The share of a plan's coverage that renderings confirm.
+
+    A sample of locations is rendered.
+    """
 
     share: float
     """Share of the sample in which the rendering comes within the threshold of some stored view,
@@ -131,12 +137,12 @@ def _covering(coverage: Coverage, location: int) -> Int64Array:
 
 
 def true_errors_px(stored: Views, rendered: Views) -> Float32Array:
-    """Return mean distances (N,) in px of warped stored skylines from rendered ones.
+    """Return distances (N,) of warped stored skylines from rendered ones.
 
-    The N views of either kind have one width, and row by row one heading. The warp is the best
-    affine one whose linear part differs from the identity by at most 0.25 in each entry. The
-    distance is vertical, over the columns that land in frame; it is infinite where these are fewer
-    than half of them.
+    They are means, in px. The N views of either kind have one width, and row by row one heading.
+    The warp is the best affine one whose linear part differs from the identity by at most 0.25 in
+    each entry. The distance is vertical, over the columns that land in frame; it is infinite where
+    these are fewer than half of them.
     """
     errors = np.empty(len(stored), dtype=np.float32)
     for begin in range(0, len(stored), _FIT.at_once):
@@ -159,7 +165,10 @@ def _errors_px(stored: Views, rendered: Views) -> Float64Array:
 
 
 def _starts(stored: Views, rendered: Views) -> Float64Array:
-    """Return warps (N, 3, 2, 3): the identity, Equation 4, and least squares."""
+    """Return the warps (N, 3, 2, 3) from which fits start.
+
+    They are the identity, Equation 4, and least squares.
+    """
     there = displacements_m(
         stored,
         stored.heading,
@@ -188,11 +197,12 @@ def block_means(rows: FloatArray, blocks: int) -> Float32Array:
 def fitted_warps(
     curves: FloatArray, targets: FloatArray, starts: Float64Array, width: int
 ) -> tuple[Float64Array, Float64Array]:
-    """Fit affine warps, within bounds, of curves onto targets; return distances and warps.
+    """Fit affine warps of curves onto targets, within bounds.
 
-    Curves and targets (B, Q) are ordinates v at Q column centres; NaN is unknown. Warps to start
-    from are (B, 2, 3); NaN is none. A distance (B,) in px, 2 / W, is the mean vertical distance of
-    the warped columns from the target; infinite where too few of them land on it.
+    Returns the distances and the warps. Curves and targets (B, Q) are ordinates v at Q column
+    centres; NaN is unknown. Warps to start from are (B, 2, 3); NaN is none. A distance (B,) in px,
+    2 / W, is the mean vertical distance of the warped columns from the target; infinite where too
+    few of them land on it.
     """
     pixel = pixel_size(width)
     pair = _Pair(curves, targets, pixel)
@@ -285,8 +295,8 @@ def _bounded_step(
 ) -> Float64Array:
     """Return affine - normal^-1 gradient, with all entries within bounds.
 
-    An entry that would leave the bounds is held there, and the others are solved for again: their
-    step was made for that entry as it was before it was held.
+    An entry that would leave the bounds is held there. The other entries are then solved for again,
+    since their steps depend on it.
     """
     bounds = _FIT.bounds
     moved = affine

@@ -1,9 +1,9 @@
-"""Section 4.3: the paper's five strategies, each of which chooses the next viewpoint.
+"""The paper's five planners of viewpoints (section 4.3).
 
-A planning problem is one heading. Sites, at which views may be rendered, lie on a grid of rows
-(north to south) and columns (west to east); the index of a site is ``row * cols + col``. The
-tolerance area of a view is a boolean window of K x K sites around it, K = 2 * reach + 1. Its rows
-go southward and its columns eastward whatever the heading.
+Each chooses the next viewpoint. A planning problem is one heading. Sites, at which views may be
+rendered, lie on a grid of rows (north to south) and columns (west to east); the index of a site is
+``row * cols + col``. The tolerance area of a view is a boolean window of K x K sites around it, K =
+2 * reach + 1. Its rows go southward and its columns eastward whatever the heading.
 """
 
 from collections.abc import Callable, Iterator
@@ -86,7 +86,7 @@ class Coverage:
         self.areas = np.zeros((0, *size), dtype=bool)
 
     def add(self, viewpoints: Int64Array, areas: BoolArray) -> None:
-        """Add the tolerance areas (N, K, K) of views rendered at sites (N)."""
+        """Add the tolerance areas (N, K, K) of views at sites (N,)."""
         row, col = self.sites.row_col(viewpoints)
         areas = areas & self._valid_windows[row, col]
         for at, area in zip(zip(row, col, strict=True), areas, strict=True):
@@ -95,12 +95,15 @@ class Coverage:
         self.areas = np.concatenate([self.areas, areas])
 
     def gains(self, sites: Int64Array, areas: BoolArray) -> Int64Array:
-        """Return the number of sites that each area (N, K, K) would newly cover."""
+        """Return how many sites each area (N, K, K) would newly cover."""
         gained = self._open_windows[self.sites.row_col(sites)] & areas
         return np.asarray(np.count_nonzero(gained, axis=(1, 2)), dtype=np.int64)
 
     def fraction(self, region: BoolArray | None = None) -> float:
-        """Return the covered share of the valid sites, or of those in a region."""
+        """Return the covered share of the valid sites.
+
+        With a region, its sites alone count.
+        """
         valid = self.sites.valid if region is None else self.sites.valid & region
         left = int((self.uncovered & valid).sum())
         return 1.0 - left / max(int(valid.sum()), 1)
@@ -138,18 +141,18 @@ class Problem:
 
 
 class Planner(Protocol):
-    """Chooses the viewpoints of a region, one after another, until it is covered.
+    """Chooses viewpoints of a region, one after another.
 
-    A package offers a planner as an entry point of the group `PLANNERS`. ``skyline render
-    --planner`` then takes its name.
+    It goes on until the region is covered. A package offers a planner as an entry point of the
+    group `PLANNERS`. ``skyline render --planner`` then takes its name.
     """
 
     def __call__(self, problem: Problem, generator: np.random.Generator) -> Iterator[Int64Array]:
         """Yield sites (n,) of the problem's region to render, by their indices.
 
-        When the planner goes on, ``problem.coverage`` has the tolerance areas of these views. It
-        ends when the region is covered. All its random choices come from ``generator``, so that the
-        same seed gives the same plan.
+        When the planner goes on, ``problem.coverage`` has the tolerance areas of the views at these
+        sites. The planner ends when the region is covered. All its random choices come from
+        ``generator``, so that the same seed gives the same plan.
         """
 
 
@@ -219,7 +222,10 @@ def sov(problem: Problem, generator: np.random.Generator) -> Iterator[Int64Array
 
 
 def _pack(problem: Problem, known: int, packed: BoolArray) -> None:
-    """Mark the sites on the minor axes of viewpoints after the first ``known``."""
+    """Mark the sites on the minor axes of new viewpoints.
+
+    The first ``known`` viewpoints are not new.
+    """
     coverage = problem.coverage
     row, col = coverage.sites.row_col(coverage.viewpoints[known:])
     axis = minor_axes(coverage.areas[known:])
@@ -232,11 +238,11 @@ def _pack(problem: Problem, known: int, packed: BoolArray) -> None:
 
 
 def minor_axes(areas: BoolArray) -> Float64Array:
-    """Return the minor semi-axes (N, 2) of areas (N, K, K) taken for ellipses.
+    """Return the minor semi-axes (N, 2) of areas (N, K, K).
 
-    A semi-axis is a step along rows and columns. The ellipse has the area's moments about the
-    viewpoint, its centre: a filled ellipse has the variance b^2 / 4 along its semi-axis b, and a
-    cell adds its own 1 / 12.
+    The areas are taken for ellipses. A semi-axis is a step along rows and columns. The ellipse has
+    the area's moments about the viewpoint, its centre: a filled ellipse has the variance b^2 / 4
+    along its semi-axis b, and a cell adds its own 1 / 12.
     """
     reach = areas.shape[1] // 2
     step = np.arange(-reach, reach + 1, dtype=np.float64)

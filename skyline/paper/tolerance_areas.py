@@ -53,10 +53,10 @@ def displacements_m(
     northing_m: ArrayLike,
     eye_elevation_m: ArrayLike,
 ) -> Float64Array:
-    """Return the displacements t (N, C, 3) of C others from each eye.
+    """Return the displacements t (N, C, 3) of other eyes.
 
-    Axes are those of the N views along the eyes' headings. An unknown height, NaN, leaves right and
-    forward known.
+    They lead from each of N eyes to C others, along the axes right, up and forward of the eye's
+    view. An unknown height, NaN, leaves right and forward known.
     """
     own = (eyes.easting_m, eyes.eye_elevation_m, eyes.northing_m)
     other = (easting_m, eye_elevation_m, northing_m)
@@ -74,11 +74,11 @@ def displacements_m(
 
 
 def moved(points_m: Float64Array, displacements_m: Float64Array) -> Float64Array:
-    """Return points (N, P, 3) from displaced eyes by Equation 1, U2 = U1 + K T.
+    """Return points (N, P, 3), seen from displaced eyes.
 
-    Displacements are (N, C, 3); NaN is no eye. The result (N, C, P, 3) is right, up, forward of the
-    other eye. Forward is NaN for a point that is not safely in front of it or not in its frame; a
-    frame has sides, but neither top nor bottom.
+    They move by Equation 1, U2 = U1 + K T. Displacements are (N, C, 3); NaN is no eye. The result
+    (N, C, P, 3) is right, up, forward of the other eye. Forward is NaN for a point that is not
+    safely in front of it or not in its frame; a frame has sides, but neither top nor bottom.
     """
     here = np.moveaxis(points_m[:, np.newaxis], -1, 0)
     right, up, forward = here - np.moveaxis(displacements_m[:, :, np.newaxis], -1, 0)
@@ -94,10 +94,11 @@ def projected(points_m: Float64Array) -> Float64Array:
 
 
 def equation_4(depth_m: Float64Array, displacements_m: Float64Array) -> Float64Array:
-    """Return the paper's warp A = [[s, 0, k1T / (z + k3T)], [0, s, k2T / (z + k3T)]].
+    """Return the paper's warp, Equation 4.
 
-    s is z / (z + k3T), and z (N,) the representative depth. Displacements are (N, C, 3). The warps
-    (N, C, 2, 3) are NaN where z + k3T is not safely positive.
+    It is A = [[s, 0, k1T / (z + k3T)], [0, s, k2T / (z + k3T)]]. s is z / (z + k3T), and z (N,) the
+    representative depth. Displacements are (N, C, 3). The warps (N, C, 2, 3) are NaN where z + k3T
+    is not safely positive.
     """
     translation = -displacements_m
     z = depth_m[:, np.newaxis]
@@ -117,7 +118,7 @@ def non_affine(points_m: Float64Array, displacements_m: Float64Array) -> Float64
 
 
 def affine_mean(points_m: Float64Array, displacements_m: Float64Array) -> Float64Array:
-    """Return Equation 4 at the mean depth of the points, as planners do."""
+    """Return Equation 4 at the points' mean depth, as planners do."""
     depth = np.ma.masked_invalid(points_m[..., 2]).mean(axis=1)
     return equation_4(np.ma.filled(depth, np.nan), displacements_m)
 
@@ -161,9 +162,10 @@ WARPS: dict[str, Warp] = {
 def errors_px(
     points_m: Float64Array, displacements_m: Float64Array, width: int, warp: Warp = affine_mean
 ) -> Float32Array:
-    """Return reprojection errors (N, C) of N views seen from C other eyes each.
+    """Return reprojection errors (N, C) of views from other eyes.
 
-    An error is the mean distance of warped points from their images.
+    Each of N views is seen from C other eyes. An error is the mean distance of warped points from
+    their images.
 
     Skyline points of the views are (N, P, 3), NaN where unknown; displacements to the other eyes
     (N, C, 3), NaN for no eye. Views have ``width`` columns W, and an error is in px
@@ -207,7 +209,7 @@ def tolerance_errors_px(
 ) -> Float32Array:
     """Return the reprojection errors (N, K, K) in px around N views.
 
-    They are those of Equation 4 at the mean depth.
+    The views are warped by Equation 4 at the mean depth.
 
     The tolerance area is where these are within a threshold. Row 0 is the northernmost and column 0
     the westernmost, whatever the heading; the view is at [K // 2, K // 2], where the error is 0. It

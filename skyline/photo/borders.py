@@ -43,14 +43,14 @@ class Content:
 
     Attributes
     ----------
-    height, width : int
+    height_px, width_px : int
         Size of the whole image.
     top, bottom, left, right : int
         Rows and columns of the photo in it.
     """
 
-    height: int
-    width: int
+    height_px: int
+    width_px: int
     top: int
     bottom: int
     left: int
@@ -69,15 +69,17 @@ class Content:
         beside the photo are masked.
         """
         inside = slice(self.left, self.right)
-        image_row_px = np.full(self.width, np.nan)
+        image_row_px = np.full(self.width_px, np.nan)
         image_row_px[inside] = row_px + self.top
-        image_trust = np.zeros(self.width)
+        image_trust = np.zeros(self.width_px)
         image_trust[inside] = np.where(np.isfinite(row_px), trust, 0.0)
         image_crests = None
         if crests is not None:
-            image_crests = np.full((len(crests), self.width), np.nan)
+            image_crests = np.full((len(crests), self.width_px), np.nan)
             image_crests[:, inside] = crests + self.top
-        return PhotoSkyline(image_row_px, image_trust, self.width, self.height, crests=image_crests)
+        return PhotoSkyline(
+            image_row_px, image_trust, self.width_px, self.height_px, crests=image_crests
+        )
 
 
 def content_of(image: UInt8Array) -> Content:
@@ -123,9 +125,10 @@ def _bar_length(image: UInt8Array) -> int:
 
 
 def _is_content(row: UInt8Array, colour: Float64Array) -> bool:
-    """Return whether a row (N, 3) differs from a bar's colour nearly everywhere.
+    """Return whether a row (N, 3) shows more than a bar.
 
-    Borders of that colour at the row's ends are ignored, as long as most of the row remains.
+    It does if it differs from the bar's colour nearly everywhere. Borders of that colour at the
+    row's ends are ignored, as long as most of the row remains.
     """
     differs = np.flatnonzero(~_alike(row, colour))
     if differs.size < _BARS.same_share * len(row):

@@ -110,7 +110,7 @@ class Correction:
     ----------
     photo : Photo
     beside_px : int
-        Columns beside those that a stroke changes, on each side, that are refined again with them.
+        Columns to either side of a stroke that are refined again with its own columns.
 
     Raises
     ------
@@ -141,7 +141,7 @@ class Correction:
             row_px = self._extraction.row_px.copy()
             trust = self._extraction.trust.copy()
         else:
-            check_of_image(given, (content.height, content.width))
+            check_of_image(given, (content.height_px, content.width_px))
             row_px = given.row_px[content.left : content.right] - content.top
             trust = given.trust[content.left : content.right].copy()
         inside = [stroke.in_crop(content.left, content.top) for stroke in strokes]
@@ -275,7 +275,10 @@ def _at_working_size(photo: UInt8Array) -> UInt8Array:
 
 
 def _skyline_share(small: UInt8Array) -> Float32Array:
-    """Return the probability (h, w) that the column's skyline runs through the pixel."""
+    """Return the probability (h, w) of the skyline in each pixel.
+
+    It is the probability that the column's skyline runs through the pixel.
+    """
     height, width = small.shape[:2]
     odds = network_odds(small)
     # Odds of no skyline, relative to a row of the enlarged picture.

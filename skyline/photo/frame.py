@@ -55,9 +55,9 @@ def frames_of(
     """Return the frame that the camera noted, and the frame taken.
 
     The first is None if the camera noted none. For a photo taken upright, some cameras note the
-    frame upright and some lying. Of the two, the one that fits the file better is taken; if neither
-    fits, the one of which the file shows the wider part. A file of a shape that no camera takes is
-    a part of the sensor's shape.
+    frame upright and some lying. Of the two, the frame that fits the file better is taken; if
+    neither fits, the frame of which the file shows a wider part is taken. A file of a shape that no
+    camera takes is a part of the sensor's shape.
     """
     width = positive(tags.get(Base.ExifImageWidth))
     height = positive(tags.get(Base.ExifImageHeight))
@@ -97,5 +97,5 @@ def is_whole(size_px: tuple[int, int], frame: Size, tolerance: float = _SHAPES.t
 
 
 def is_unscaled(size_px: tuple[int, int], frame: Size) -> bool:
-    """Return whether a file has all columns, or all rows, of a frame."""
+    """Return whether a file has all columns or rows of a frame."""
     return max(size_px[0] - frame[0], size_px[1] - frame[1]) == 0.0

@@ -22,6 +22,7 @@ from PIL.ExifTags import Base
 from skyline.arrays import UInt8Array
 from skyline.errors import InputError, MissingFileError
 from skyline.files import STANDARD, files_in, left_out_in_words, names_in_words, read_bytes
+from skyline.store.read import is_store
 from skyline.tables import is_table
 
 _log = logging.getLogger(__name__)
@@ -42,7 +43,7 @@ class SizeLimits:
 
 LIMITS = SizeLimits()
 
-_EXPECTED = "expected a photo, a sky mask or a trace"
+EXPECTED = "expected a photo, a sky mask or a trace"
 _FORMATS = (
     "JPEG", "MPO", "PNG", "TIFF", "WEBP", "BMP", "GIF", "PPM", "JPEG2000", "AVIF", "HEIF",
 )  # fmt: skip
@@ -145,11 +146,11 @@ def _image_of(pixels: UInt8Array) -> Image.Image:
 def _opened_file(path: Path) -> Iterator[Image.Image]:
     source: Path | io.BytesIO = path
     if str(path) == STANDARD:
-        source = io.BytesIO(read_bytes(path, _EXPECTED))
+        source = io.BytesIO(read_bytes(path, EXPECTED))
     elif not path.exists():
-        raise MissingFileError(f"{path} does not exist; {_EXPECTED}")
+        raise MissingFileError(f"{path} does not exist; {EXPECTED}")
     elif not path.is_file():
-        raise InputError(f"{path} is not a file; {_EXPECTED}")
+        raise InputError(f"{path} is not a file; {EXPECTED}")
     try:
         with _decoded(str(path)), warnings.catch_warnings(), _unlimited_size():
             # Pillow warns about large images, which are bounded here, and about odd EXIF.
@@ -166,6 +167,8 @@ def _opened_file(path: Path) -> Iterator[Image.Image]:
 
 def _why_unidentified(path: Path) -> str:
     """Return why a file is no image, and what to do."""
+    if is_store(path):
+        return f"a store; {EXPECTED}"
     if str(path) != STANDARD and _is_heif(path):
         return (
             "a HEIC photo, for which there is no decoder here; convert it to JPEG or PNG, or "
@@ -204,7 +207,7 @@ def _unlimited_size() -> Iterator[None]:
 def shrink_if_large(name: str, image: Image.Image, limits: SizeLimits = LIMITS) -> None:
     """Let a large JPEG be decoded smaller, and refuse other large images.
 
-    A raw file is a TIFF whose first picture is a preview, of which NewSubfileType is 1. Raises
+    A raw file is a TIFF whose first picture is a preview, with 1 as its NewSubfileType. Raises
     `InputError`.
     """
     width, height = image.size

@@ -109,7 +109,7 @@ def _fov_deg(width: float, diagonals: float) -> float:
 def camera_of(tags: Tags, xmp: Xmp, size_px: tuple[int, int]) -> tuple[Projection, Lens]:
     """Return the projection and the lens that a photo notes.
 
-    ``tags`` and ``size_px`` are those of `lens_of`.
+    ``tags`` and ``size_px`` are as in `lens_of`.
     """
     panorama = panorama_of_xmp(xmp, size_px)
     if panorama is not None:

@@ -1,4 +1,4 @@
-"""The place and the heading that a photo notes in EXIF and XMP.
+"""The place and heading that a photo notes in EXIF and XMP.
 
 Tags are read as the standard defines them (EXIF 2.32, 4.6.6, and 3.0). If a tag that decides the
 meaning of a number is missing, the number is left aside, with a sentence that gives the reason.

@@ -27,7 +27,10 @@ class Steps:
 
 
 def cheapest_path(cost: Float32Array, steps: Steps) -> IntArray:
-    """Return the cheapest path's row in each column, (W,) intp, for costs (H, W) float32."""
+    """Return the cheapest path's row (W,) in each column.
+
+    Rows are intp, and costs (H, W) float32.
+    """
     n_rows, n_columns = cost.shape
     offsets = np.arange(-steps.reach, steps.reach + 1)
     step_price = (steps.row_price * np.abs(offsets)).astype(np.float32)

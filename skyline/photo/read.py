@@ -36,12 +36,8 @@ def read_skyline(
 
     Parameters
     ----------
-    path : str, Path, PIL image, or (H, W) or (H, W, 3) uint8
-    fov_deg : float, optional
-        Horizontal field of view, degrees: 1 to 179, or to 360 for a panorama. By default it is read
-        from the photo's EXIF or XMP.
-    projection : Projection, optional
-        Perspective by default, unless the photo's EXIF or XMP note a panorama.
+    path, fov_deg, projection
+        As in `read_photo`; a file may be a trace, too.
     sky_model : onnxruntime.InferenceSession or path, optional
         Segments the sky in photos; see `skyline.photo.user_sky_model`.
 
@@ -60,10 +56,10 @@ def read_skyline(
 def named_skyline(
     photo: Picture | PhotoSkyline, fov_deg: float | None = None
 ) -> tuple[str, PhotoSkyline]:
-    """Return the file of a photo, empty for pixels and for a skyline, and its skyline.
+    """Return the file of a photo, and the photo's skyline.
 
-    The skyline has the given field of view, or else its own. Raises as `read_skyline`, and
-    `InputError` for anything but one photo.
+    The file is empty for pixels and for a skyline. The skyline has the given field of view, or else
+    its own. Raises as `read_skyline`, and `InputError` for anything but one photo.
     """
     if fov_deg is not None:
         error = f"the field of view is {fov_deg!r}; expected a number of degrees"

@@ -41,7 +41,10 @@ _network_lock = Lock()
 
 
 def network_odds(photo: UInt8Array) -> Float32Array:
-    """Return log-odds (h', w') of a column's skyline in each pixel against no skyline."""
+    """Return log-odds (h', w') of the skyline in each pixel.
+
+    They are the odds of a skyline there against no skyline in the column.
+    """
     height, width = photo.shape[:2]
     wanted = _INPUT.pixels * aspect_scale(height, width)
     shrink = sqrt(min(wanted, max(height * width, _INPUT.least_pixels)) / (height * width))

@@ -1,4 +1,4 @@
-"""The skyline of a photo in pixels, and the lens that its file notes."""
+"""Skylines of photos in pixels, and lenses that their files note."""
 
 from dataclasses import dataclass, replace
 
@@ -36,7 +36,10 @@ class Lens:
 
     @property
     def in_words(self) -> str:
-        """One line: the field of view and its source; empty if the file notes no lens."""
+        """The field of view and its source in one line.
+
+        It is empty if the file notes no lens.
+        """
         if not self.reason:
             return ""
         fov = "not known" if self.fov_deg is None else f"{self.fov_deg:.1f} degrees"
@@ -47,7 +50,9 @@ class Lens:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PhotoSkyline:
-    """The skyline of one photo, one row per column; pixel centres are at whole numbers.
+    """The skyline of one photo, one row per column.
+
+    Pixel centres are at whole numbers.
 
     Attributes
     ----------
@@ -125,9 +130,9 @@ class PhotoSkyline:
         return np.isfinite(self.row_px)
 
     def other_crest_px(self) -> Float64Array:
-        """Return the row (W,) of the likeliest crest that is not the skyline; NaN where none is.
+        """Return the row (W,) of the likeliest crest beside the skyline.
 
-        A crest nearer than 2 % of the height is the skyline itself.
+        NaN where there is none. A crest nearer than 2 % of the height is the skyline itself.
         """
         if self.crests is None:
             return np.full(self.width_px, np.nan)
@@ -161,9 +166,9 @@ class PhotoSkyline:
         return self.projection.rays(across, above, self._known_fov_deg())
 
     def visible_deg(self) -> float:
-        """Return the degrees of azimuth that the trusted columns span with the camera held level.
+        """Return the azimuths that the trusted columns span, degrees.
 
-        Raises as `image_plane`.
+        The camera is taken to be level. Raises as `image_plane`.
         """
         spans = self.projection.column_deg(self.width_px, self._known_fov_deg())
         return float(spans[self.trusted].sum())
@@ -178,7 +183,10 @@ class PhotoSkyline:
 
 
 def check_of_image(skyline: PhotoSkyline, shape: tuple[int, ...]) -> None:
-    """Raise `InputError` unless a skyline belongs to an image of a shape (H, W, ...)."""
+    """Check that a skyline belongs to an image.
+
+    Raises `InputError` unless it fits the image's shape (H, W, ...).
+    """
     height, width = shape[:2]
     if (width, height) != (skyline.width_px, skyline.height_px):
         raise InputError(

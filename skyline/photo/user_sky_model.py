@@ -45,12 +45,12 @@ def load_sky_model(path: str | Path) -> Any:
 
 
 def model_skyline(image: UInt8Array, session: Any) -> PhotoSkyline:
-    """Find the skyline of a photo (H, W, 3) uint8 RGB with a sky model.
+    """Find the skyline of a photo with a sky model.
 
-    A column's skyline is its topmost crossing of one half; its trust is the fall of the
-    probability there within a hundredth of the rows. Raises `InputError` if the model breaks the
-    contract, or no column has sky above ground. ``session`` is the file of a model, or what
-    `load_sky_model` returns.
+    The photo is (H, W, 3) uint8 RGB. A column's skyline is its topmost crossing of one half; its
+    trust is the fall of the probability there within a hundredth of the rows. Raises `InputError`
+    if the model breaks the contract, or no column has sky above ground. ``session`` is the file of
+    a model, or what `load_sky_model` returns.
     """
     if isinstance(session, str | Path):
         session = load_sky_model(session)
@@ -72,7 +72,7 @@ def model_skyline(image: UInt8Array, session: Any) -> PhotoSkyline:
 
 
 def _probability(photo: UInt8Array, session: Any) -> Float64Array:
-    """Return the sky's probability at the size of the model's output, (h, w)."""
+    """Return the sky's probability (h, w), of the model's output's size."""
     inputs = session.get_inputs()
     if len(inputs) != 1 or len(inputs[0].shape) != 4:
         raise InputError(f"the sky model's inputs are {[i.shape for i in inputs]}; {_CONTRACT}")

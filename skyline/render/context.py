@@ -105,7 +105,7 @@ class GlContext:
 
 
 class SharedContext:
-    """One context for all renderers, with the process and the thread that own it."""
+    """One context for all renderers, owned by a process and a thread."""
 
     def __init__(self, libraries: GlLibraries = GlLibraries()) -> None:
         self._libraries = libraries
@@ -156,9 +156,10 @@ class SharedContext:
         )
 
     def release(self) -> None:
-        """Release the context, if there is one, and all that renderers made in it.
+        """Release the context and all that renderers made in it.
 
-        Raises `ContextError` where the context belongs to another thread that still lives.
+        Does nothing where there is no context. Raises `ContextError` where the context belongs to
+        another thread that still lives.
         """
         # Only the process that made the context may release it.
         if self._process != os.getpid():
@@ -173,7 +174,10 @@ class SharedContext:
 
 @cache
 def process_context() -> SharedContext:
-    """Return the context that all renderers of this process share; exit releases it."""
+    """Return the context that all renderers of this process share.
+
+    It is released when the process exits.
+    """
     shared = SharedContext()
 
     def release() -> None:
@@ -197,7 +201,10 @@ def release_context() -> None:
 
 
 def _choose_context(libraries: GlLibraries) -> GlContext:
-    """Return a context on the best device of the first backend that gives one."""
+    """Return a context of the first backend that gives one.
+
+    It is on that backend's best device.
+    """
     forced = os.environ.get(ENVIRONMENT_VARIABLE, "")
     if forced and forced not in BACKENDS:
         raise InputError(
@@ -306,8 +313,8 @@ def _destroy(context: GlContext) -> None:
 def compile_shaders(ctx: moderngl.Context, *names: str, defines: Mapping[str, str]) -> Any:
     """Compile a compute shader, or link a vertex and a fragment shader.
 
-    The names are those of their files. ``defines`` are macros of all shaders. Raises `ContextError`
-    with the driver's words if the driver refuses a shader.
+    Each shader has the name of its file. ``defines`` are macros of all shaders. Raises
+    `ContextError` with the words of a driver that refuses a shader.
     """
     macros = "".join(f"#define {name} {value}\n" for name, value in defines.items())
     texts = []
@@ -327,7 +334,10 @@ def compile_shaders(ctx: moderngl.Context, *names: str, defines: Mapping[str, st
 
 
 class Releasable(ABC):
-    """Base of objects with memory on the GPU; leaving their ``with`` block releases it."""
+    """Base of objects with memory on the GPU.
+
+    Leaving their ``with`` block releases the memory.
+    """
 
     @abstractmethod
     def release(self) -> None:
@@ -385,7 +395,10 @@ class RenderThread:
         self._thread.start()
 
     def run(self, task: Callable[[], T], urgent: bool = False) -> T:
-        """Run a task and return its result; raises its errors, or `ContextError` once closed."""
+        """Run a task and return its result.
+
+        Raises the task's errors, and `ContextError` once the thread is closed.
+        """
         if threading.current_thread() is self._thread:
             return task()
         future: Future[T] = Future()
@@ -397,7 +410,7 @@ class RenderThread:
         return future.result()
 
     def close(self) -> None:
-        """Finish the tasks that wait, release the OpenGL context and end the thread."""
+        """Finish waiting tasks, release the OpenGL context, end the thread."""
         with self._closing:
             if not self._closed:
                 self._closed = True

@@ -82,9 +82,10 @@ class DepthRenderer(Renderer):
         )
 
     def render(self, viewpoints: Viewpoints) -> Views:
-        """Render 4 N views of N viewpoints: each one's four headings in turn.
+        """Render N viewpoints to their four headings, as 4 N views.
 
-        Columns have the flag `FLAG_OUT_OF_IMAGE`, and the one that `raised_to_dip` sets.
+        The four views of a viewpoint follow one another. Columns have the flag `FLAG_OUT_OF_IMAGE`,
+        and the one that `raised_to_dip` sets.
         """
         eyes, headings = in_four_views(viewpoints)
         tan, depth_m = np.empty((2, len(eyes), self.width), dtype=np.float32)
@@ -107,10 +108,10 @@ class DepthRenderer(Renderer):
         return raised_to_dip(views, columns_u(self.width), lowest_m, self.curvature)
 
     def depth_images(self, viewpoints: Viewpoints, index: int) -> Float32Array:
-        """Return one viewpoint's forward depths in metres, (4, W, W); inf is sky.
+        """Return one viewpoint's forward depths in metres, (4, W, W).
 
-        The top row comes first. The eye is subtracted in float64, so that nothing absolute reaches
-        the GPU.
+        Depths of the sky are inf. The top row comes first. The eye is subtracted in float64, so
+        that nothing absolute reaches the GPU.
         """
         images = np.empty((len(HEADINGS), self.width, self.width), dtype=np.float32)
         field = self.field
@@ -131,7 +132,7 @@ class DepthRenderer(Renderer):
         return images
 
     def _stand(self, row: float, col: float, elevation_m: float) -> None:
-        """Set the shader's uniforms of the field, and of an eye in it."""
+        """Set the shader's uniforms of the field and of an eye."""
         field = self.field
         program = self._terrain
         cell_row = math.floor(row)
@@ -173,11 +174,12 @@ def _camera_matrix(heading: int, near_m: float, far_m: float) -> Float64Array:
 
 
 def _near_m(field: HeightField, viewpoints: Viewpoints, index: int) -> float:
-    """Return a near plane in front of all visible parts of the surface.
+    """Return the distance of a near plane, in metres.
 
-    Within one cell around the eye, the surface is no nearer than the eye's clearance over it times
-    the cosine of its steepest slope. Beyond, it is no nearer than a cell. A point nearer than the
-    plane and inside a view of 90 degrees lies within sqrt(3) times the plane's distance.
+    The plane lies in front of all visible parts of the surface. Within one cell around the eye, the
+    surface is no nearer than the eye's clearance over it times the cosine of its steepest slope.
+    Beyond, it is no nearer than a cell. A point nearer than the plane and inside a view of 90
+    degrees lies within sqrt(3) times the plane's distance.
     """
     easting_m = viewpoints.easting_m[index]
     northing_m = viewpoints.northing_m[index]
@@ -201,7 +203,10 @@ def _tile_origins(field: HeightField) -> NDArray[np.int32]:
 
 
 def _tile_triangles() -> NDArray[np.uint32]:
-    """Return the vertex ids of a tile's triangles, split from north-west to south-east."""
+    """Return the vertex ids of a tile's triangles.
+
+    Cells are split from north-west to south-east.
+    """
     stride = TILE_CELLS + 1
     row, col = np.mgrid[:TILE_CELLS, :TILE_CELLS].astype(np.uint32)
     north_west = row * stride + col

@@ -1,7 +1,8 @@
-"""Windows: parts of a height field on the GPU, with trees of slabs.
+"""Parts of a height field on the GPU, with trees of slabs.
 
-A field up to a limit is one window. A larger one is cut into windows that share their border
-lines of samples, and a skyline over it is the greatest of its skylines over the windows.
+A part is a `Window`. A field up to a limit is one window. A larger one is cut into windows that
+share their border lines of samples, and a skyline over it is the greatest of its skylines over the
+windows.
 """
 
 import itertools
@@ -58,7 +59,10 @@ class GpuLimits:
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """A rectangle of samples: rows ``row`` to ``row + rows - 1``, and columns likewise."""
+    """A rectangle of samples.
+
+    It has rows ``row`` to ``row + rows - 1``, and columns ``col`` to ``col + cols - 1``.
+    """
 
     row: int
     col: int
@@ -157,7 +161,10 @@ class WindowTextures:
         """Upper bounds of the heights: code c stands for ``lowest_m + c * code_step_m``."""
 
     def _trees_of_heights(self, heights_m: Float32Array) -> Trees:
-        """Build the bounds of heights (rows, cols); headings of one axis share a tree."""
+        """Build the trees of slabs over heights (rows, cols).
+
+        Headings of one axis share a tree.
+        """
         codes = self._coded(heights_m)
         axes = codes, codes.T
         slopes = [np.linspace(-most, most, SLOPE_BINS + 1) for most in self.slope_max]
@@ -202,7 +209,10 @@ class WindowTextures:
     def _trees_of_marks(
         self, marks: Mapping[tuple[bool, bool], UInt8Array], pool: Executor
     ) -> Trees:
-        """Build the trees of marks, which are given by the quadrant into which rays go."""
+        """Build the trees of marks.
+
+        The marks are given by the quadrant into which rays go: north or not, east or not.
+        """
         axes = marks[False, False], marks[False, False].T
         slopes = [np.linspace(-most, most, SLOPE_BINS + 1) for most in self.slope_max]
         shapes = [self._shapes(*one) for one in zip(axes, slopes, strict=True)]
@@ -253,7 +263,10 @@ class _Atlas:
         self._texels: NDArray[Any] = np.zeros((height, columns, components), dtype)
 
     def levels(self, tree: int) -> list[NDArray[Any]]:
-        """Return the texels (bins, bands, blocks, components) of each level of a tree."""
+        """Return the texels of each level of a tree.
+
+        They are (bins, bands, blocks, components), and are to be written.
+        """
         found = []
         for top, left, (bins, bands, blocks) in self._levels[tree]:
             texels = self._texels[top : top + bins * bands, left : left + blocks]
@@ -261,7 +274,10 @@ class _Atlas:
         return found
 
     def upload(self, ctx: moderngl.Context, before: Sequence[int]) -> Trees:
-        """Return the texture and its levels; ``before`` is the `blocks_before` of each tree."""
+        """Return the texture and its levels.
+
+        ``before`` has the `blocks_before` of each tree.
+        """
         places = []
         for levels, blocks in zip(self._levels, before, strict=True):
             here = [(top, shape[1], left + blocks) for top, left, shape in levels]
@@ -271,10 +287,10 @@ class _Atlas:
 
 
 def _quadrant(heading: int, grows: bool) -> tuple[bool, bool]:
-    """Return whether rays along a heading go north, and whether they go east.
+    """Return whether rays along a heading go north, and whether east.
 
-    Their slope in array order is positive if it ``grows``, else negative. It is in columns per row
-    for headings 0 and 2, and in rows per column for 1 and 3.
+    The rays' slope in array order is positive if it ``grows``, else negative. It is in columns per
+    row for headings 0 and 2, and in rows per column for 1 and 3.
     """
     forward = heading in (1, 2)
     aside = grows == forward
@@ -282,7 +298,10 @@ def _quadrant(heading: int, grows: bool) -> tuple[bool, bool]:
 
 
 def _with_apron(field: HeightField, window: Window) -> Float32Array:
-    """Return a window's heights and one sample around them, NaN off the map."""
+    """Return a window's heights with a border one sample wide.
+
+    Samples off the map are NaN.
+    """
     heights = np.full((window.rows + 2, window.cols + 2), np.nan, dtype=np.float32)
     top = window.row - 1
     left = window.col - 1
@@ -309,9 +328,10 @@ def _columns(ctx: moderngl.Context, heights: Float32Array) -> moderngl.Texture:
 
 
 def _pitch(columns: int) -> int:
-    """Return the width of a texture for some columns: 16 texels, an odd number of times.
+    """Return the width of a texture for some columns.
 
-    It is no power of two, at which neighbouring rows would share lines of the cache.
+    It is 16 texels, an odd number of times. It is no power of two, at which neighbouring rows would
+    share lines of the cache.
     """
     return (-(-columns // 16) | 1) * 16
 

@@ -81,14 +81,17 @@ class HorizonRenderer(ColumnRenderer):
 def render_views(
     terrain: HeightField, viewpoints: Viewpoints, config: RenderConfig | None = None
 ) -> Views:
-    """Render the skylines of viewpoints to grid north, east, south, west (4 N views)."""
+    """Render skylines of viewpoints to their four headings, as 4 N views.
+
+    The headings are grid north, east, south and west.
+    """
     config = config or RenderConfig()
     with HorizonRenderer(terrain, config) as renderer:
         return renderer.render(viewpoints)
 
 
 class RenderedScene:
-    """Renders skylines of a terrain, and of a surface if one is given.
+    """Renders skylines of a terrain, and of its surface if given.
 
     With a ``thread`` all views are rendered on it, piece by piece; without one only the thread that
     makes the scene may render.
@@ -185,7 +188,7 @@ class PanoramaRenderer(ColumnRenderer):
         """Render the horizons of N eyes, in order.
 
         ``first_azimuth_rad`` (N,) is the grid azimuth of each eye's bin 0: the negative of the
-        meridian convergence makes azimuths count from true north. By default the bins are those of
+        meridian convergence makes azimuths count from true north. By default the bins lie at
         `skyline.skylines.bin_azimuths_rad`.
         """
         step_rad = 2.0 * np.pi / self.bins
@@ -209,7 +212,7 @@ class PanoramaRenderer(ColumnRenderer):
         )
 
     def _turned(self, values: NDArray[_Scalar], bins: Int64Array) -> NDArray[_Scalar]:
-        """Return values (4 N, B/4) of views in the order of bins (N, B)."""
+        """Return values (4 N, B/4) of views in the bins' order."""
         # The first view begins an eighth of a turn before bin 0.
         turned = values.reshape(-1, self.bins)
         return np.take_along_axis(turned, (bins + self.bins // 8) % self.bins, axis=1)

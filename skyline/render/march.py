@@ -63,7 +63,7 @@ class EyeGroup:
 
 
 class Eyes:
-    """The eyes of N views, sorted so that marches of one kind lie together.
+    """The eyes of N views, sorted by kind of march.
 
     ``turn_rad`` (N,) is the angle by which all columns of an eye are turned clockwise.
     ``near_error_tan`` is the greatest error of v that rounding may make.
@@ -103,7 +103,7 @@ class Eyes:
         return values[np.argsort(self._order)]
 
     def relative_to(self, window: Window) -> NDArray[np.void]:
-        """Return the sorted eyes (N,) as the shader reads them, placed in a window."""
+        """Return the sorted eyes (N,) in a window, for the shader."""
         eyes = np.zeros(len(self), dtype=_EYE_DTYPE)
         nearest = np.rint(self._position)
         eyes["nearest"] = nearest.astype(np.int64) - (window.row, window.col)
@@ -120,9 +120,10 @@ class Eyes:
         return sorted(windows, key=lambda window: float(np.hypot(*self._gap_m(window, middle))))
 
     def greatest_tan(self, window: Window, highest_m: float, drop_per_m2: float) -> Float64Array:
-        """Return an upper bound (N,) of v over a window no higher than ``highest_m``.
+        """Return an upper bound (N,) of v over a window.
 
-        The eyes are in sorted order; -inf where the window lies outside the view.
+        The window's heights are at most ``highest_m``. The eyes are in sorted order; -inf where the
+        window lies outside the view.
         """
         corners = np.array(
             [[row, col] for row in (0, window.rows - 1) for col in (0, window.cols - 1)],
@@ -168,7 +169,9 @@ def _needs_double(
     col: Float64Array,
     near_error_tan: float,
 ) -> BoolArray:
-    """Mark the eyes (N,) near whose edges float32 blurs v by more than ``near_error_tan``.
+    """Mark the eyes (N,) whose near edges need float64.
+
+    Near these eyes, float32 blurs v by more than ``near_error_tan``.
 
     A crossing at depth z among heights up to H above or below the eye has v to within r H / z,
     where r is the relative rounding error of its height. An edge nearer than c / (G + 2 H / s) is
@@ -198,7 +201,9 @@ def _needs_double(
 
 
 class ColumnRenderer(Renderer):
-    """Renders skylines of one height field in columns at any abscissas, exact to float32.
+    """Renders skylines of one height field in columns at any abscissas.
+
+    The skylines are exact to float32.
 
     ``u`` (W,) are the columns' abscissas, of magnitude at most 1. ``near_error_tan`` is the largest
     rounding error of v near the eye; float64 is used where float32 exceeds it.
@@ -248,14 +253,20 @@ class ColumnRenderer(Renderer):
 
     @property
     def is_resident(self) -> bool:
-        """Whether the whole field stays on the GPU; otherwise each rendering loads it anew."""
+        """Whether the whole field stays on the GPU.
+
+        Otherwise each rendering loads it anew.
+        """
         samples = sum(window.samples for window in self._windows)
         return samples <= self._limits.resident_samples
 
     def _skylines(
         self, viewpoints: Viewpoints, heading: UInt8Array, turn_rad: Float64Array
     ) -> Views:
-        """Render N views, turned as `Eyes` says, in batches whose results fit the GPU."""
+        """Render N views in batches whose results fit the GPU.
+
+        The views are turned as `Eyes` says.
+        """
         at_once = max(self._limits.result_bytes // (12 * self.width), 1)
         starts = range(0, max(len(viewpoints), 1), at_once)
         parts = [slice(start, start + at_once) for start in starts]
@@ -305,7 +316,10 @@ class ColumnRenderer(Renderer):
             ) from error
 
     def _read(self, index: int, rows: int, kind: str) -> NDArray[Any]:
-        """Return v (0), depth (1) or flags (2), in the views' sorted order."""
+        """Return one result of the views, in their sorted order.
+
+        The results are v (0), depth (1) and flags (2).
+        """
         data = self._results[index].read()[: 4 * rows * self.width]
         return np.frombuffer(data, kind).reshape(rows, self.width)
 
@@ -333,9 +347,10 @@ class ColumnRenderer(Renderer):
     def _march(
         self, window: WindowTextures, eyes: NDArray[np.void], group: EyeGroup, is_first: bool
     ) -> None:
-        """March over a window from a group's eyes, as the shader reads them.
+        """March over a window from a group's eyes.
 
-        ``is_first`` is whether no march has written these rows of the results before.
+        The eyes are as the shader reads them. ``is_first`` is whether no march has written these
+        rows of the results before.
         """
         slope_max = window.slope_max[group.heading % 2]
         # No ray is as steep as slope_max, so at equal spacings it crosses at most two cells.
@@ -369,7 +384,10 @@ class ColumnRenderer(Renderer):
     def _uniforms(
         self, window: WindowTextures, eyes: NDArray[np.void], heading: int
     ) -> dict[str, Any]:
-        """Return the shader's uniforms of a window, and of eyes that face a heading."""
+        """Return the shader's uniforms of a window and of eyes.
+
+        All eyes face ``heading``.
+        """
         columns = window.columns[heading % 2]
         uniforms: dict[str, Any] = {
             "samples": (window.window.cols, window.window.rows),
@@ -422,7 +440,7 @@ class ColumnRenderer(Renderer):
         return self._programs[key]
 
     def _slack_m(self, window: WindowTextures, eyes: NDArray[np.void]) -> float:
-        """Return a bound above all float32 rounding in the y of a crossing."""
+        """Return a bound of the float32 rounding of a crossing's height."""
         eye_m = eyes["elevation_m"][:, 0]
         high = max(window.highest_m, float(eye_m.max())) - min(window.lowest_m, float(eye_m.min()))
         samples = np.array([window.window.rows, window.window.cols])

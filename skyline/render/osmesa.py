@@ -18,12 +18,16 @@ _OSMESA_CONTEXT_MINOR_VERSION = 0x37
 
 
 class OsMesaContext:
-    """OpenGL by Mesa's off-screen library: a native context for moderngl, current once made."""
+    """A native OpenGL context for moderngl, by Mesa's off-screen library.
+
+    It is current once made.
+    """
 
     def __init__(self, names: Sequence[str], version: tuple[int, int]) -> None:
-        """Make a core profile of an OpenGL version by the first library that loads.
+        """Make a core profile of an OpenGL version.
 
-        Raises `ContextError` where none loads, or it lacks the version.
+        The first library that loads makes it. Raises `ContextError` where none loads, or it lacks
+        the version.
         """
         library = _loaded(names)
         self._proc_address = _bind(library.OSMesaGetProcAddress, c_void_p, ctypes.c_char_p)

@@ -1,1 +1,1 @@
-"""Results to look at and to pass on: pages, pictures, maps and files."""
+"""Reports of results: pages, pictures, maps and files."""

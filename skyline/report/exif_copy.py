@@ -1,9 +1,8 @@
-"""Copies of photos with the place and the heading of a pose in EXIF.
+"""Copies of photos with a pose's place and heading in EXIF.
 
-The tags are those of EXIF 2.32, 4.6.6. A JPEG keeps its pixels bit for bit. All of its EXIF but the
-GPS directory keeps its position, since maker's notes and previews depend on offsets. Any other
-photo is written as a JPEG of the upright picture. XMP tags of the camera's place and attitude are
-removed.
+EXIF 2.32, 4.6.6, defines the tags. A JPEG keeps its pixels bit for bit. All of its EXIF but the GPS
+directory keeps its position, since maker's notes and previews depend on offsets. Any other photo is
+written as a JPEG of the upright picture. XMP tags of the camera's place and attitude are removed.
 """
 
 import io
@@ -62,13 +61,15 @@ _POSE = re.compile(
     r"(?i:gps\w*)|Latitude|Longitude|(?:Absolute|Relative|AboveGround)Altitude"
     r"|(?:Gimbal|Flight|Camera|Drone)\w+Degree|CameraOrientation\w+|Yaw|Pitch|Roll"
 )
-"""XMP's names of place and attitude, in any namespace: EXIF's GPS tags and those of drones."""
+"""XMP's names of place and attitude, in any namespace: EXIF's GPS tags and tags of drones."""
 _PANORAMA_POSE = re.compile(r"(?:Pose|InitialView)\w+")
 """Names of place and attitude that count in the namespace of panoramas alone."""
 
 
 def write_located(source: str | Path, path: str | Path, candidate: Pose) -> None:
-    """Write a copy of a photo with a pose's place and heading in its EXIF.
+    """Write a copy of a photo with a pose in its EXIF.
+
+    The pose's place and heading are written.
 
     Other GPS tags of the photo (its error, the time of a fix, a destination) belong to another pose
     and are removed.
@@ -189,7 +190,7 @@ def _with_gps(exif: bytes, gps: Mapping[int, object], *, made_upright: bool) -> 
 
 
 def _with_exif(jpeg: bytes, exif: bytes) -> bytes:
-    """Return a JPEG with new EXIF, and without a pose in its XMP."""
+    """Return a JPEG with new EXIF, without a pose in XMP."""
     kept = list[_Segment]()
     start = 0
     for marker, body, end in _segments(jpeg):
@@ -253,7 +254,7 @@ def _is_pose(name: Name) -> bool:
 
 
 def _is_pose_or_extended(name: Name) -> bool:
-    """Return whether a property is a pose, or points to an extended packet."""
+    """Return whether a property notes a pose or an extended packet."""
     return name == HAS_EXTENDED or _is_pose(name)
 
 

@@ -68,7 +68,7 @@ class _Placemark:
 
     @classmethod
     def of(cls, photo: str, pose: Pose) -> Self:
-        """Return the placemark of a pose of a photo, whose file is given."""
+        """Return the placemark of a photo's pose, with the photo's file."""
         confidence = dict(zip(COLUMNS, pose.cells(), strict=True))["confidence"]
         sure = f"; confidence {confidence}" if confidence else ""
         description = (
@@ -104,10 +104,6 @@ def _geojson(results: Sequence[MatchResult], frame: Frame) -> str:
 
 def _features(photo: str, candidate: Pose, frame: Frame) -> list[Json]:
     """Return the GeoJSON features of a candidate: point, view and ellipse."""
-    record: Json = {
-        name: None if isinstance(value, float) and not math.isfinite(value) else value
-        for name, value in candidate.to_dict().items()
-    }
     of_pose: Json = {"photo": photo, "rank": candidate.rank, "origin": candidate.origin}
 
     def feature(shape: str, geometry: Json, about: Json) -> Json:
@@ -117,7 +113,7 @@ def _features(photo: str, candidate: Pose, frame: Frame) -> list[Json]:
     place = [round(candidate.lon, _DECIMALS), round(candidate.lat, _DECIMALS)]
     wedge = _polygon(view_wedge_m(candidate, VIEW_REACH_M), frame)
     shapes = [
-        feature("candidate", {"type": "Point", "coordinates": place}, record),
+        feature("candidate", {"type": "Point", "coordinates": place}, candidate.to_dict()),
         feature("view", wedge, {"reach_m": VIEW_REACH_M}),
     ]
     ellipse = Ellipse.of(candidate)

@@ -1,4 +1,4 @@
-"""The folder of a report: which files are in it, and whose they are."""
+"""The folder of a report, and the files that belong to it."""
 
 import re
 from pathlib import Path

@@ -52,7 +52,10 @@ footer { margin-top: 3rem; font-size: 0.85rem; }
 
 
 def page(title: str, lead: str, sections: Iterable[str], foot: str = "") -> str:
-    """Return a whole page, whose ``lead`` is a sentence or two of introduction."""
+    """Return a whole page.
+
+    ``lead`` is a sentence or two of introduction.
+    """
     body = "\n".join(sections)
     return (
         f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">{PAGE_MARK}\n'
@@ -117,7 +120,10 @@ def _escaped(text: str) -> str:
 
 
 def _row(tag: str, texts: Iterable[str], aligned: Sequence[bool]) -> str:
-    """Return a row of a table; cells of ``aligned`` columns are set right."""
+    """Return a row of a table.
+
+    Cells of ``aligned`` columns are set right.
+    """
     cells = (
         f"<{tag}{' class=n' if right else ''}>{_escaped(text)}</{tag}>"
         for text, right in zip(texts, aligned, strict=True)

@@ -155,6 +155,6 @@ class UnnamedPeaks:
 
 
 def some_of(names: Sequence[str]) -> str:
-    """Return the first five names in words, and the number of the others."""
+    """Return the first five names and the number of others, in words."""
     more = f" and {len(names) - 5} more" if len(names) > 5 else ""
     return ", ".join(names[:5]) + more

@@ -265,8 +265,8 @@ def _nice_length(length: float) -> float:
 def relief(heights: Float32Array, pixel_m: float, range_m: tuple[float, float]) -> UInt8Array:
     """Return shaded relief as RGBA (H, W, 4) uint8.
 
-    It is transparent where there is no height. The heights (H + 2, W + 2), metres, are those of the
-    picture's pixels, ``pixel_m`` apart, and of one pixel beyond each side; rows run south.
+    It is transparent where there is no height. There is a height (H + 2, W + 2), metres, for each
+    of the picture's pixels, ``pixel_m`` apart, and for one pixel beyond each side; rows run south.
     ``range_m`` are the heights of the lowest and the highest tint.
     """
     east = (heights[1:-1, 2:] - heights[1:-1, :-2]) / np.float32(2.0 * pixel_m)

@@ -121,7 +121,7 @@ def _about(viewer: Viewer | None) -> str:
     if viewer.peaks is None:
         return "No file of peaks was given, so no peak is named (--peaks FILE)."
     return (
-        f"Of {len(viewer.peaks)} peaks given, those are named that the camera sees: "
+        f"Of {len(viewer.peaks)} peaks given, the ones that the camera sees are named: "
         "nothing on the line to them stands above them in the elevation model."
     )
 

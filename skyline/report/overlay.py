@@ -1,4 +1,4 @@
-"""Photos with their skyline, the skyline rendered at a pose, and named peaks."""
+"""Photos with their skyline, a rendered skyline, and named peaks."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -99,11 +99,12 @@ def _draw_picture(
     texts: Sequence[str],
     foot_px: float = 0.0,
 ) -> tuple[Figure, Axes, UnnamedPeaks]:
-    """Draw the photo, or a blank canvas, with the peaks' texts above it.
+    """Draw the photo with the peaks' texts above it.
 
-    Below it is an empty foot, where a line counts the names that no font draws. The picture is at
-    most 1600 px wide and high, and at least 700 px wide if that leaves it no higher. Returns the
-    figure, axes in pixels of the photo, and the peaks without their texts.
+    Without a photo, a blank canvas is drawn. Below it is an empty foot, where a line counts the
+    names that no font draws. The picture is at most 1600 px wide and high, and at least 700 px wide
+    if that leaves it no higher. Returns the figure, axes in pixels of the photo, and the peaks
+    without their texts.
     """
     figure = Figure(dpi=_DPI)
     FigureCanvasAgg(figure)

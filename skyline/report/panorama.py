@@ -76,7 +76,7 @@ def save_panorama(
     config: PanoramaConfig | None = None,
     surface: Dem | None = None,
 ) -> int:
-    """Draw the terrain and the named peaks that are visible from a place.
+    """Draw the terrain and named peaks visible from a place.
 
     Parameters
     ----------
@@ -185,7 +185,7 @@ class _Row:
     def of(
         cls, view: PanoramaView, row: int, labels: Sequence[Label[Sighting]], figure: Figure
     ) -> "_Row":
-        """Return a row of a view, with its share of the labels of all rows.
+        """Return a row of a view, with its share of the labels.
 
         Its range of elevations is 12 degrees or more, down to 7 degrees below the lowest skyline.
         """
@@ -246,10 +246,10 @@ def _draw_row(axis: Axes, view: PanoramaView, row: _Row, colours: UInt8Array) ->
 
 
 def _colours(view: PanoramaView) -> UInt8Array:
-    """Return RGBA colours (P + 1, 4) of the landscape's points and the sky.
+    """Return RGBA colours (P + 1, 4) of the landscape and the sky.
 
-    The sky is last. Light falls over the viewer's left shoulder, 60 degrees aside and 40 degrees
-    up, in every direction of view.
+    The landscape's points come first, the sky last. Light falls over the viewer's left shoulder, 60
+    degrees aside and 40 degrees up, in every direction of view.
     """
     landscape = view.landscape
     terrain = landscape.terrain

@@ -1,7 +1,7 @@
 """The terrain and the summits that one eye sees in a panorama.
 
 Columns of azimuth are followed outwards in steps no wider than a pixel of the picture; a point is
-seen if its elevation angle is greater than those of all nearer points.
+seen if its elevation angle is greater than the angles of all nearer points.
 """
 
 import itertools
@@ -39,7 +39,9 @@ _NOTHING_DEG = -90.0
 
 @dataclass(frozen=True, slots=True)
 class PanoramaConfig:
-    """The view that a panorama shows; by default the full turn from north.
+    """The view that a panorama shows.
+
+    By default it is the full turn from north.
 
     Attributes
     ----------
@@ -74,7 +76,7 @@ class PanoramaView:
     """The terrain and the summits that a panorama shows."""
 
     landscape: "Landscape"
-    """Its columns are those of the picture, one row after another."""
+    """The terrain in the picture's columns, one row of the picture after another."""
     sightings: Sequence[Sighting]
     """Visible summits, the most prominent first."""
     config: PanoramaConfig
@@ -123,9 +125,9 @@ def row_count(fov_deg: float) -> int:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Landscape:
-    """The terrain that one eye sees: P points in C columns of azimuth.
+    """The terrain that one eye sees.
 
-    The points of a column go outwards.
+    It has P points in C columns of azimuth. The points of a column go outwards.
     """
 
     terrain: HeightField
@@ -144,10 +146,11 @@ class Landscape:
 
     @classmethod
     def of(cls, terrain: HeightField, eye: Viewpoints, azimuth_deg: Float64Array) -> Self:
-        """Return the terrain that one eye sees at equal steps of azimuth (C,).
+        """Return the terrain that one eye sees.
 
-        The Earth is curved, with refraction k = 0.13; ridges have the exact height of the surface.
-        Raises `InputError` if no terrain is visible.
+        The azimuths (C,) of its columns have equal steps. The Earth is curved, with refraction k =
+        0.13; ridges have the exact height of the surface. Raises `InputError` if no terrain is
+        visible.
         """
         curvature = Curvature()
         turn_deg = terrain.frame.convergence_deg(easting_m=eye.easting_m, northing_m=eye.northing_m)
@@ -201,9 +204,9 @@ class Landscape:
         return np.repeat(np.arange(len(self.azimuth_deg)), np.diff(self.begins))
 
     def seen(self, columns: slice, elevation_deg: Float64Array) -> Int64Array:
-        """Return which points (E, K) are seen at angles (E,) in K columns.
+        """Return which points (E, K) are seen at angles (E,).
 
-        The index P stands for sky.
+        The second axis has K columns. The index P stands for sky.
         """
         begins = self.begins[columns.start : columns.stop + 1]
         seen = np.full((len(begins) - 1, len(elevation_deg)), len(self.distance_m))
@@ -237,10 +240,11 @@ def _rising(
     grid_rad: Float64Array,
     steps_m: Float64Array,
 ) -> tuple[Int64Array, Int64Array, Float32Array]:
-    """Return column, step and elevation angle (P,) of points above all nearer ones.
+    """Return the points that rise above all nearer ones.
 
-    Columns look along grid azimuths (C,), and steps are distances (S,). The points of a column
-    follow one another, outwards. Raises `InputError` if there are none.
+    Each (P,) has a column, a step and an elevation angle. Columns look along grid azimuths (C,),
+    and steps are distances (S,). The points of a column follow one another, outwards. Raises
+    `InputError` if there are none.
     """
     # No terrain from a step on stands above this angle; a metre covers all rounding.
     up_m = terrain.height_range_m[1] + 1.0 - eye.eye_elevation_m - curvature.drop_m(steps_m)

@@ -103,10 +103,11 @@ def _depth_figure(images: Float32Array, views: Views) -> Figure:
 
 
 def save_coverage_map(plan: Plan, path: Path) -> None:
-    """Save a map (PNG) of each heading: viewpoints and the area they cover.
+    """Save maps of the viewpoints and the area that they cover.
 
-    It resembles Figure 6 of the paper. A location has the colour of the largest tolerance area that
-    holds it; terrain in no tolerance area stays uncoloured.
+    There is one map for each heading, all in one PNG, which resembles Figure 6 of the paper. A
+    location has the colour of the largest tolerance area that holds it; terrain in no tolerance
+    area stays uncoloured.
 
     Raises `InputError` where the file cannot be written.
     """

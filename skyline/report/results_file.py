@@ -156,7 +156,7 @@ def _alone(path: Path) -> Iterator[None]:
 
 
 def _error_of(row: Row) -> str | None:
-    """Return the error in the row of a photo that could not be used.
+    """Return the error in the row of an unusable photo.
 
     Such a row has no time; there is no error in any other.
     """

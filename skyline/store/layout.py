@@ -1,4 +1,4 @@
-"""The format of a store: its header, the layout of its rows, and their checksums.
+"""The format of a store: its header, rows and checksums.
 
 A row is a rendering (a view with its skyline and keypoints) or a place (`skyline.store.places`).
 
@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 from skyline.arrays import UInt8Array
 from skyline.errors import SkylineError, StoreError, StoreMismatchError
+from skyline.files import STORE_SCHEMA
 from skyline.geodesy.bounds import Bounds
 from skyline.geodesy.earth import Curvature
 from skyline.geodesy.map_frame import Frame
@@ -35,7 +36,6 @@ from skyline.terrain.dem import Dem, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.provenance import DemOptions
 
-SCHEMA = "skyline-store"
 SCHEMA_VERSION = 4
 PACKAGE_VERSION = version("skyline")
 
@@ -81,6 +81,9 @@ KeypointColumns = NDArray[np.uint16]
 
 Columns = Mapping[str, NDArray[Any]]
 """N rows of several datasets, by the datasets' names, in the types in which they are stored."""
+
+_TOLERANCES = ("tolerance_px", "tolerance_deg")
+"""Settings of earlier releases, which could render skylines less exactly: by how much."""
 
 _SPECS: dict[str, dict[str, tuple[str, str, tuple[int, ...] | None]]] = {
     RENDERINGS: {
@@ -164,8 +167,8 @@ class StoreHeader:
         if "dem_options" in plain:
             # Stores do not differ by options that only earlier releases have.
             plain["dem_options"] = asdict(DemOptions.from_json(plain["dem_options"]))
-        for name in ("tolerance_px", "tolerance_deg"):
-            # Earlier releases could render with a tolerance; at 0 they rendered as this one does.
+        for name in _TOLERANCES:
+            # At 0 earlier releases rendered as this one does.
             if plain.get(name) == 0.0:
                 del plain[name]
         object.__setattr__(self, "config", plain)
@@ -289,8 +292,9 @@ def refuse_mismatch(
 ) -> None:
     """Raise `StoreMismatchError` unless rows of two headers may be in one store.
 
-    Paths and releases may differ. The message begins with ``subject`` and ends with ``advice``;
-    ``words`` describe the two headers in it.
+    Paths and releases may differ. The message begins with ``subject`` and ends with ``advice``, or
+    with what is to be done about rows that can no longer be made; ``words`` describe the two
+    headers in it.
     """
     compared: dict[str, tuple[object, object]] = {"kind of rows": (a.holds, b.holds)}
     if a.holds != b.holds:
@@ -307,6 +311,11 @@ def refuse_mismatch(
                 one = {name: value for name, value in pairs[0] if (name, value) not in pairs[1]}
                 other = {name: value for name, value in pairs[1] if (name, value) not in pairs[0]}
             compared[f"config {key}"] = one, other
+            if key in _TOLERANCES and one != other:
+                advice = (
+                    "skylines are no longer rendered with a tolerance; build a new store of that "
+                    "area (the old one is still read and searched)"
+                )
     differences = [
         f"{name} is {was!r} {words[0]}, {now!r} {words[1]}"
         for name, (was, now) in compared.items()
@@ -381,7 +390,7 @@ def attributes_digest(attributes: Mapping[str, str]) -> str:
 def write_header(file: h5py.File, header: StoreHeader) -> None:
     """Write a header, with its digest, as the attributes of a file."""
     texts = {
-        "schema": SCHEMA,
+        "schema": STORE_SCHEMA,
         **header.attributes,
         "header_digest": attributes_digest(header.attributes),
     }
@@ -409,7 +418,7 @@ def read_header(path: Path, file: h5py.File) -> StoreHeader:
             f"version {SCHEMA_VERSION}: {advice}"
         )
     texts = {name: _text(path, file, name) for name in file.attrs if name != "schema_version"}
-    if texts.pop("schema") != SCHEMA:
+    if texts.pop("schema") != STORE_SCHEMA:
         raise foreign
     if texts.pop("header_digest", None) != attributes_digest(texts):
         raise StoreError(

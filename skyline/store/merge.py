@@ -1,4 +1,4 @@
-"""Making a store from others: merged, joined while they are read, or repaired.
+"""Making a store from others, by merging, joining or repairing them.
 
 Rows of a merged store are sorted by easting, northing, eye elevation and heading, and equal ones
 are kept once. So its bytes depend only on the set of rows, not on the order of the parts or on how

@@ -367,6 +367,8 @@ def open_hdf5(path: Path) -> io.FileIO:
         raw = io.FileIO(path)
     except FileNotFoundError as error:
         raise MissingFileError(_absence(path)) from error
+    except IsADirectoryError as error:
+        raise StoreError(f"{path} is a folder; name the file of a store") from error
     except OSError as error:
         raise StoreError(
             f"store {path} cannot be read: {error.strerror}; name a file that you may read"

@@ -25,7 +25,7 @@ _GRID = {"long_name": "azimuth, clockwise from grid north", **_DEGREES}
 def dataset_of_places(places: Places, rows: IntArray, frame: Frame) -> Any:
     """Return places as a dataset; see `Store.to_xarray`."""
     angle = "grid_azimuth_deg"
-    # Whole halves of a degree, so that they can be looked up.
+    # Rounded to exact halves of a degree, so that they can be looked up.
     grid_deg = np.degrees(bin_azimuths_rad(BINS)).round(9)
     coords = _coordinates("place", places, rows, frame)
     coords[angle] = angle, grid_deg, _GRID

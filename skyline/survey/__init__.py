@@ -1,1 +1,1 @@
-"""Building stores: where places lie, the parts in which they are rendered, and the workers."""
+"""Building stores: plans of places, parts of stores, and workers."""

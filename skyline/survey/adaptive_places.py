@@ -1,4 +1,4 @@
-"""Places laid out adaptively: dense where skylines are near, sparse where they are far.
+"""Places that are dense where skylines are near, else sparse.
 
 The plan is a tree of nested lattices. Places of the coarsest lattice are rendered first. A place's
 skyline shows whether more places there would pay: save more views than as many in other squares.
@@ -294,11 +294,11 @@ def _lattice_of_roots(first: int, number: int) -> Int64Array:
 
 
 def _next_lattice(nodes: Int64Array, level: int) -> Int64Array:
-    """Return nodes (N, 2), and those that the next level adds."""
+    """Return nodes (N, 2), and the nodes that the next level adds."""
     half = _side(level) // 2
     beside = nodes + half
     if level % 2:
-        # A corner adds the middle of one side, a square's middle that of another side.
+        # A corner adds the middle of one side, and a square's middle the middle of another side.
         step = np.where(nodes[:, 0] % _side(level) == 0, half, -half)
         beside = nodes + np.stack([step, np.zeros_like(step)], axis=1)
     return np.concatenate([nodes, beside])

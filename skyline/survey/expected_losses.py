@@ -24,7 +24,7 @@ class LossLaw:
     power: float = 1.55
     """Power of that ratio in the odds of a loss."""
     too_near_m: float = 25.0
-    """Distance of the skylines of which half are lost however dense the places are: wrong slopes
+    """Distance at which half of the skylines are lost, however dense the places are: wrong slopes
     fit them as well. Plans leave this out, since no spacing changes it."""
     too_near_power: float = 1.75
     """Power of the distance in the odds of such a loss."""

@@ -1,4 +1,4 @@
-"""Plans of a store: its viewpoints, its jobs, and the renderer of a job."""
+"""Plans of a store: its viewpoints, its jobs, and their renderer."""
 
 import hashlib
 import logging

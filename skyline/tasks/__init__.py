@@ -1,1 +1,4 @@
-"""What a command does between reading its options and printing: a file for each such task."""
+"""The tasks of commands, a module for each.
+
+A task is what a command does between reading its options and printing.
+"""

@@ -11,7 +11,10 @@ from skyline.terrain.products import model_of
 
 
 def describe_terrain(field: HeightField) -> dict[str, object]:
-    """Return the files of an elevation model, its grid, its frame, and what was mended in it."""
+    """Return facts of an elevation model.
+
+    They are its files, its grid, its frame, and what was mended in it.
+    """
     west, south, east, north = field.bounds_m
     turn_deg = field.frame.convergence_deg(
         easting_m=(west + east) / 2.0, northing_m=(south + north) / 2.0
@@ -36,7 +39,10 @@ def describe_terrain(field: HeightField) -> dict[str, object]:
 
 
 def describe_store(path: str) -> dict[str, object]:
-    """Return what a store has, from which DEM and with which settings; raises as `open_store`."""
+    """Return facts of a store.
+
+    They are its rows, its DEM and its settings. Raises as `open_store`.
+    """
     with open_store(path) as store:
         header = store.header
         eyes = store.eyes()

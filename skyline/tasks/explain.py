@@ -1,4 +1,7 @@
-"""Which terrain a skyline depends on, which is left out, and the resulting error."""
+"""The terrain that a skyline depends on, and its error.
+
+The error is due to terrain that is left out.
+"""
 
 import numpy as np
 
@@ -10,7 +13,10 @@ from skyline.terrain.viewpoints import Viewpoints
 
 
 def explain_skyline(terrain: HeightField, eye: Viewpoints) -> dict[str, object]:
-    """Return the terrain modelled for one viewpoint, the terrain left out, and the error."""
+    """Return facts of one viewpoint's skyline.
+
+    They are the terrain that is modelled, the terrain that is left out, and the resulting error.
+    """
     config = RenderConfig()
     views = render_views(terrain, eye, config)
     drop_per_m2 = config.curvature.drop_per_m2
@@ -34,9 +40,9 @@ def explain_skyline(terrain: HeightField, eye: Viewpoints) -> dict[str, object]:
 
 
 def curvature_bound_px(reach_m: float, drop_per_m2: float, width: int) -> float:
-    """Return the greatest error of a skyline without curvature, in px of ``width`` columns.
+    """Return the greatest error of a skyline without curvature.
 
-    ``reach_m`` is the distance of the farthest sample.
+    The error is in px of ``width`` columns. ``reach_m`` is the distance of the farthest sample.
     """
     # The tangent changes by drop d^2 / z, and d is at most the root of 2 times z.
     return float(np.sqrt(2.0)) * drop_per_m2 * reach_m / pixel_size(width)

@@ -1,4 +1,4 @@
-"""Labelling a photo: its camera's pose, the summits in it, and the picture with their names."""
+"""Labelling a photo with the names of its summits."""
 
 import json
 from collections.abc import Sequence
@@ -52,10 +52,11 @@ class LabelTask:
 
 
 def label_photo(task: LabelTask, listener: Listener) -> str:
-    """Write the names of the summits in a photo on a copy of it; return what it shows in words.
+    """Write the names of a photo's summits on a copy of it.
 
-    Raises `InputError` where the file's kind is not known, the photo, the pose or the peaks cannot
-    be read, or the camera's direction is not sure; `OffMapError` for a position off the map.
+    Returns in words what the copy shows. Raises `InputError` where the file's kind is not known,
+    the photo, the pose or the peaks cannot be read, or the camera's direction is not sure;
+    `OffMapError` for a position off the map.
     """
     from skyline.report.labels import some_of  # noqa: PLC0415  (slow to load)
 
@@ -94,7 +95,10 @@ def _pose_of(
     viewer: Viewer,
     listener: Listener,
 ) -> Pose:
-    """Return the noted pose, else the one that fits; raises `InputError` if that is not sure."""
+    """Return the noted pose, else the one that fits.
+
+    Raises `InputError` if the pose that fits is not sure.
+    """
     if noted is not None:
         return shown_pose(noted, viewer, listener)
     with listener.slow("orienting the camera"), orienters(viewer.terrain) as orienter_at:
@@ -111,7 +115,10 @@ def _pose_of(
 
 
 def shown_pose(noted: NotedPose, viewer: Viewer, listener: Listener) -> Pose:
-    """Return a noted pose on a viewer's terrain; show why it is doubted, or its eye lifted."""
+    """Return a noted pose on a viewer's terrain.
+
+    A note says why the pose is doubted, and another why its eye was lifted.
+    """
     pose, lifted = viewer.pose_of(noted)
     for note in filter(None, (noted.doubt, lifted)):
         listener.note(note)

@@ -8,7 +8,10 @@ from skyline.arrays import Progress
 
 
 class Listener(Protocol):
-    """Receives results, notes and errors of a task as they come; a terminal prints them."""
+    """Receives results, notes and errors of a task as they come.
+
+    A terminal prints them.
+    """
 
     def result(self, record: Mapping[str, Any], text: str) -> None:
         """Receive a result, as a record and as lines of text.
@@ -29,7 +32,10 @@ class Listener(Protocol):
         """Run a block that may take long; ``doing`` says what it does."""
 
     def progress(self, doing: str) -> AbstractContextManager[Progress]:
-        """Run a block that reports its progress to the function that is yielded."""
+        """Run a block that reports progress to the function yielded."""
 
     def keeps(self, advice: str, is_kept: Callable[[], bool] = ...) -> None:
-        """Receive the advice for a person who stops the task, given only if ``is_kept``."""
+        """Receive the advice for a person who stops the task.
+
+        It is given only if ``is_kept()`` is true then.
+        """

@@ -1,4 +1,7 @@
-"""Locating photos: the store of their area is made or found in the cache, and searched."""
+"""Locating photos in the area where they were taken.
+
+The store of the area is made or found in the cache, and searched.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -35,10 +38,11 @@ class LocateTask:
 
 
 def locate_photos(task: LocateTask, listener: Listener) -> int:
-    """Find where photos were taken, in an area that they or the user name.
+    """Find where photos were taken, and show the results.
 
-    Returns the exit code as `match_photos`. Raises `InputError` if no photo can be read, the area
-    is not known, or the DEM does not suit it, and `FetchError` where a server fails.
+    The photos or the user name the area. Returns the exit code as `match_photos`. Raises
+    `InputError` if no photo can be read, the area is not known, or the DEM does not suit it, and
+    `FetchError` where a server fails.
     """
     if task.dem and task.source:
         raise InputError("give one of --dem (files at hand) and --source (tiles to fetch)")
@@ -68,7 +72,10 @@ def locate_photos(task: LocateTask, listener: Listener) -> int:
 
 
 def _within(entry: Entry, given: Narrowing, area: Narrowing) -> Entry:
-    """Return a photo whose search is narrowed to the area, unless a list narrows it to a circle."""
+    """Return a photo whose search is narrowed to the area.
+
+    A circle to which a list narrows the search stays.
+    """
     own = entry.narrowing
     near = area.near if own.near == given.near else own.near
     return replace(entry, narrowing=replace(own, near=near, bounds_deg=area.bounds_deg))

@@ -1,6 +1,7 @@
-"""Matching photos: results are shown as they come, and files are written of all of them.
+"""Matching photos, showing their results and writing them to files.
 
-A search that was stopped goes on if it has a file of results.
+Results are shown as they come; the files have all of them. A search that was stopped goes on if it
+has a file of results.
 """
 
 import hashlib
@@ -27,6 +28,7 @@ from skyline.match.matcher import FULL, Matcher
 from skyline.match.method import MATCHERS
 from skyline.match.result import JointResult, MatchResult
 from skyline.peaks import Peaks, read_peaks
+from skyline.photo.image import EXPECTED
 from skyline.photo.skyline import PhotoSkyline
 from skyline.plugins import names_of
 from skyline.report.exports import EXPORTS, export_matches
@@ -89,13 +91,19 @@ class MatchTask:
         return self.stores, tiles, name, config, None, dem_names(self.surface) or None
 
     def search(self) -> str:
-        """Return a digest of the stores and the options, which differs between searches."""
+        """Return a digest of the stores and the options.
+
+        It differs between searches that may have different answers.
+        """
         surfaces = dem_names(self.surface)
         files = [(Path(one).name, *_written(one)) for one in (*map(str, self.stores), *surfaces)]
         return _digest(files, self.matcher, MatchConfig(), self.common)
 
     def check(self) -> None:
-        """Raise `InputError` for options that do not suit each other, and for wrong outputs."""
+        """Check the options and the outputs.
+
+        Raises `InputError` for options that do not suit each other, and for wrong outputs.
+        """
         entry_named("matcher", self.matcher, dict.fromkeys([*names_of(MATCHERS), UNREFINED]))
         names_stores = ", ".join(map(str, self.stores))
         no_refinement = f"leave --matcher {UNREFINED} out"
@@ -123,10 +131,13 @@ class MatchTask:
         self._check_files()
 
     def _check_files(self) -> None:
-        """Raise `InputError` for outputs that would replace inputs, or whose kind is not known."""
+        """Check the outputs.
+
+        Raises `InputError` for outputs that would replace inputs, or whose kind is not known.
+        """
         named = [Path(one.path) for one in self.entries]
         inputs = [*self.stores, *self.inputs, *named, *filter(None, [self.peaks])]
-        check_outputs([*self.exports, self.results, self.report], inputs)
+        check_outputs([*self.exports, self.results], inputs, self.report)
         if self.report is not None:
             folders = {one.parent.resolve() for one in named if one != Path(STANDARD)}
             if self.report.resolve() in folders:
@@ -140,8 +151,9 @@ class MatchTask:
 
 
 def split_stores(first: Path, others: Sequence[Path]) -> tuple[tuple[Path, ...], Sequence[Path]]:
-    """Return the first store with the stores named after it, and the photos named after those.
+    """Return the stores and the photos of a command's arguments.
 
+    The stores are the first one and those named after it; the photos are named after the stores.
     Raises `InputError` where a store is named after a photo.
     """
     stores = (first, *takewhile(is_store, others))
@@ -218,10 +230,10 @@ class _Run:
             self._write(found, matcher, gazetteer, done)
 
     def _matched_before(self) -> dict[Entry, str | None]:
-        """Return the photos that need not be matched, with their errors; note how many.
+        """Return the photos that need not be matched, with their errors.
 
-        The file of results has rows of these photos. Where other files are written too, no photo
-        counts as known, since those files need more than the rows have.
+        A note gives their number. The file of results has rows of these photos. Where other files
+        are written too, no photo counts as known, since those files need more than the rows have.
         """
         file = self._file
         if file is None:
@@ -245,7 +257,10 @@ class _Run:
     def _attempted(
         self, entries: Iterable[Entry], attempt: Callable[[Entry], T]
     ) -> tuple[list[tuple[Entry, T]], dict[Entry, SkylineError]]:
-        """Attempt something with photos; return results, and errors, which are shown at once."""
+        """Attempt something with photos; return the results and the errors.
+
+        Errors are also shown at once.
+        """
         usable: list[tuple[Entry, T]] = []
         refused: dict[Entry, SkylineError] = {}
         for one in entries:
@@ -259,7 +274,10 @@ class _Run:
     def _read_together(
         self, entries: Iterable[Entry]
     ) -> tuple[list[tuple[Entry, PhotoSkyline]], dict[Entry, SkylineError]]:
-        """Read photos of one place, as `_attempted`; raises `InputError` for fewer than two."""
+        """Read photos of one place; otherwise as `_attempted`.
+
+        Raises `InputError` for fewer than two photos that can be read.
+        """
         skylines, unread = self._attempted(entries, Entry.read)
         if len(skylines) < 2:
             raise InputError(
@@ -293,7 +311,10 @@ class _Run:
         refused: Mapping[Entry, SkylineError],
         results: Iterator[MatchResult | SkylineError],
     ) -> list[MatchResult]:
-        """Show the results of all photos in order, as they come; return those without an error."""
+        """Show the results of all photos in order, as they come.
+
+        Returns the results that are not errors.
+        """
         found: list[MatchResult] = []
         for one in self._task.entries:
             if one in known:
@@ -313,7 +334,10 @@ class _Run:
     def _match_together(
         self, matcher: Matcher, photos: Sequence[tuple[Entry, PhotoSkyline]]
     ) -> list[MatchResult]:
-        """Match photos of one place and show the result; return it photo by photo."""
+        """Match photos of one place and show the joint result.
+
+        Returns the result of each photo.
+        """
         with self._listener.slow(f"matching {len(photos)} photos together"):
             narrowings = [entry.narrowing for entry, _ in photos]
             joint = matcher.match_together([one for _, one in photos], narrowings=narrowings)
@@ -328,7 +352,10 @@ class _Run:
         self._show(result.to_dict() | {"loading_seconds": self._loading_s}, result.to_text())
 
     def _show_known(self, entry: Entry, error: str | None) -> None:
-        """Show the error, if it had one, of a photo whose row an earlier run has written."""
+        """Show the error, if any, of a photo matched earlier.
+
+        An earlier run has written the photo's row.
+        """
         if error is not None:
             self.exit_code = InputError.exit_code
             self._listener.error(_of_photo(entry, InputError(error)))
@@ -351,7 +378,10 @@ class _Run:
         self._show(names | {"error": str(error)}, "")
 
     def _show(self, record: Mapping[str, object], text: str) -> None:
-        """Show a result; if nobody reads it, go on only where files are written."""
+        """Show a result.
+
+        If nobody reads it, the task goes on only where files are written.
+        """
         try:
             self._listener.result(record, text)
         except BrokenPipeError:
@@ -384,17 +414,20 @@ def _of_photo(entry: Entry, error: SkylineError) -> str:
 
 
 def _photo_of(entry: Entry) -> str:
-    """Return a digest of a photo and its own settings, which a list may change."""
+    """Return a digest of a photo and its own settings.
+
+    A list may change these settings.
+    """
     return _digest(entry, _written(entry.path))
 
 
 def _written(path: str | Path) -> tuple[object, ...]:
-    """Return a file's size and modification time, or a digest of standard input.
+    """Return a file's size and time of modification.
 
-    The path is left out, since files may move.
+    Of standard input a digest is returned. The path is left out, since files may move.
     """
     if str(path) == STANDARD:
-        return (_digest(read_bytes(path, "expected a photo, a mask or a trace")),)
+        return (_digest(read_bytes(path, EXPECTED)),)
     return (version_of(path) or ())[:2]
 
 

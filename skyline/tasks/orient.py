@@ -1,11 +1,11 @@
-"""Orienting photos: how the camera of each was held at its known position."""
+"""Orienting photos: finding how cameras were held at known positions."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 from skyline.batch import Entry
 from skyline.errors import InputError, SkylineError
-from skyline.orientation import DEFAULT_WITHIN_M, Orientation, Place, noted_place, orienters
+from skyline.orientation import DEFAULT_POSITION_SD_M, Orientation, Place, noted_place, orienters
 from skyline.photo.skyline import PhotoSkyline
 from skyline.terrain.heightfield import HeightField
 
@@ -18,7 +18,7 @@ class CameraAt:
     """By default each photo's own GPS position."""
     elevation_m: float | None = None
     """Elevation of the eye above the DEM's datum; only with a position."""
-    within_m: float | None = None
+    position_sd_m: float | None = None
     """Standard deviation of the position; by default what a photo notes, or 50 m."""
 
     def __post_init__(self) -> None:
@@ -26,20 +26,26 @@ class CameraAt:
             raise InputError(f"--elevation {self.elevation_m:g} needs a position; give --at too")
 
     def place_of(self, photo: PhotoSkyline, name: str) -> Place:
-        """Return where a photo was taken; raises `InputError` if neither it nor the user knows."""
+        """Return where a photo was taken.
+
+        Raises `InputError` if neither the photo nor the user gives a position.
+        """
         if self.lonlat_deg is None:
             lon, lat, elevation_m, usual_m = noted_place(photo, name)
         else:
             lon, lat = self.lonlat_deg
             elevation_m = self.elevation_m
-            usual_m = DEFAULT_WITHIN_M
-        return lon, lat, elevation_m, usual_m if self.within_m is None else self.within_m
+            usual_m = DEFAULT_POSITION_SD_M
+        return lon, lat, elevation_m, usual_m if self.position_sd_m is None else self.position_sd_m
 
 
 def orient_photos(
     terrain: HeightField, entries: Iterable[Entry], at: CameraAt
 ) -> Iterator[Orientation | SkylineError]:
-    """Yield how the camera of each photo was held, or the error of a photo that cannot be used."""
+    """Yield how the camera of each photo was held.
+
+    For a photo that cannot be used, its error is yielded.
+    """
     with orienters(terrain) as orienter_at:
         for entry in entries:
             try:

@@ -37,7 +37,7 @@ class PixelsTask:
 
 
 def place_pixels(task: PixelsTask, listener: Listener) -> PixelPlaces:
-    """Find and write the positions on the terrain that a photo's pixels show.
+    """Write the positions on the terrain that a photo's pixels show.
 
     Raises `InputError` for an output that is a part of the DEM or of another kind, and where the
     photo or its pose cannot be read.

@@ -1,4 +1,7 @@
-"""Building stores of renderings: the viewpoints are given, on a uniform grid, or planned."""
+"""Building stores of renderings.
+
+The viewpoints are given, on a uniform grid, or planned.
+"""
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -27,7 +30,10 @@ from skyline.terrain.viewpoints import read_viewpoints
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RenderTask:
-    """A store of renderings to build; its viewpoints are given, on a grid, or planned."""
+    """A store of renderings to build.
+
+    Its viewpoints are given, on a grid, or planned.
+    """
 
     dem: tuple[str, ...]
     """Elevation files, or folders of them."""
@@ -60,7 +66,10 @@ class RenderTask:
     config: RenderConfig
 
     def check(self) -> None:
-        """Raise `InputError` for options that do not suit each other, and for wrong outputs."""
+        """Check the options and the outputs.
+
+        Raises `InputError` for options that do not suit each other, and for wrong outputs.
+        """
         if [self.viewpoints, self.spacing_m, self.planner].count(None) != 2:
             raise InputError("give one of --viewpoints FILE.csv, --spacing M and --planner NAME")
         check_store_path(self.output.resolve())
@@ -112,10 +121,10 @@ def _refuse(options: Mapping[str, object], advice: str) -> None:
 
 
 def render_store(task: RenderTask, listener: Listener) -> BuildResult:
-    """Render views from viewpoints that are given or on a grid into a store.
+    """Render views from viewpoints into a store.
 
-    After a stop, the same call continues. Raises as `RenderTask.check`, `read_viewpoints` and
-    `build_store`.
+    The viewpoints are given or on a grid. After a stop, the same call continues. Raises as
+    `RenderTask.check`, `read_viewpoints` and `build_store`.
     """
     task.check()
     advise_to_continue(task.output, listener)
@@ -142,10 +151,10 @@ def render_store(task: RenderTask, listener: Listener) -> BuildResult:
 def render_planned(
     task: RenderTask, listener: Listener
 ) -> tuple[BuildResult, Plan, Verification] | None:
-    """Let a planner choose the viewpoints of a store; None if the store is complete already.
+    """Let a planner choose a store's viewpoints, and render them.
 
-    Raises as `RenderTask.check`, `PlanConfig` and `build_planned`, and `InputError` for a map of a
-    store that is complete.
+    Returns None if the store is complete already. Raises as `RenderTask.check`, `PlanConfig` and
+    `build_planned`, and `InputError` for a map of a store that is complete.
     """
     task.check()
     planned = task.plan_config()
@@ -165,7 +174,10 @@ def render_planned(
 
 
 def advise_to_continue(store: Path, listener: Listener) -> None:
-    """Check a store's path; after Ctrl-C, say that a build that has parts continues."""
+    """Check a store's path, and give the advice for Ctrl-C.
+
+    After Ctrl-C, a build that has parts says that the same command continues.
+    """
     check_store_path(store.resolve())
     listener.keeps(
         "what was built is kept, and the same command continues from there",
@@ -175,7 +187,10 @@ def advise_to_continue(store: Path, listener: Listener) -> None:
 
 @contextmanager
 def build_bar(output: Path, rows: str, listener: Listener) -> Iterator[Progress]:
-    """Show the progress of a build, after a note on what an earlier one has left."""
+    """Show the progress of a build.
+
+    A note comes first if an earlier build has left rows.
+    """
     with listener.progress("rendering") as bar:
         is_first = True
 

@@ -1,4 +1,7 @@
-"""Views from positions that a person names: where the eyes stand, and what they cannot see."""
+"""Eyes at positions that a person names, with notes.
+
+The notes say where the eyes stand, and what they cannot see.
+"""
 
 import logging
 from collections.abc import Sequence
@@ -21,9 +24,9 @@ def stand_with_notes(
     summit_within_m: float | None,
     listener: Listener,
 ) -> Viewpoints:
-    """Place eyes at longitudes and latitudes; a note names each that stands on a summit.
+    """Place eyes at longitudes and latitudes.
 
-    Parameters and errors as `stand_at`.
+    A note names each eye that stands on a summit. Parameters and errors as `stand_at`.
     """
     lon, lat = np.transpose(positions)
     eyes = stand_at(

@@ -1,1 +1,1 @@
-"""Terrain: elevation files to a metric grid of samples, and eyes that stand on it."""
+"""Terrain: elevation files, the metric grid read from them, and viewpoints."""

@@ -1,4 +1,7 @@
-"""The edge of a DEM's data, and how high terrain beyond it may rise above the skyline."""
+"""The edge of a DEM's data, and the terrain beyond it.
+
+Terrain that the DEM lacks may rise above the skyline: this module bounds how high.
+"""
 
 from dataclasses import dataclass
 from math import ceil

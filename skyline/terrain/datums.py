@@ -1,4 +1,4 @@
-"""Units and datums of a raster of heights, its axes and its prime meridian, in words.
+"""Units, datums, axes and prime meridian of a raster of heights.
 
 Conventions that a file names are used; the others are assumed, with a warning where that matters.
 """

@@ -1,4 +1,7 @@
-"""Reading of DEM files as a `HeightField`: on one grid, repaired, in a metric frame."""
+"""Reading of DEM files as a `HeightField`.
+
+Their samples are put on one grid, repaired, and warped to a metric frame if need be.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path

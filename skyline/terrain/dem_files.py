@@ -1,4 +1,7 @@
-"""The files of a DEM as people name them: files, addresses, zip archives, and folders of these."""
+"""The files of a DEM, found from the paths that users give.
+
+A path is a file, an address, a zip archive, or a folder of these.
+"""
 
 import os
 import re

@@ -1,5 +1,6 @@
-"""Files of height fields, whose samples are mapped into memory when they are first needed.
+"""Files of height fields.
 
+Samples are mapped into memory, and read when they are first needed.
 A file begins with a line of JSON: the grid, the frame, the provenance and the warnings of the
 reading. Sections follow, each at a multiple of `_PAGE` bytes: facts that take a reading of all
 samples, bounds of the heights by block, checksums of the blocks, the samples, and the source.
@@ -122,10 +123,10 @@ def save_field(field: HeightField, path: Path) -> None:
 def save_dem(
     dem: MetricDem, path: Path, warnings: Sequence[LoggedWarning] = (), digest: str = ""
 ) -> None:
-    """Write a DEM that was read: its source if it has one, else its samples.
+    """Write a DEM that was read.
 
-    `read_field` logs the warnings again. Raises `OSError` where the file cannot be written; it is
-    written whole or not at all.
+    Its source is written if it has one, else its samples. `read_field` logs the warnings again.
+    Raises `OSError` where the file cannot be written; it is written whole or not at all.
     """
     about = {
         "format": _FORMAT,
@@ -187,7 +188,7 @@ def read_field(path: Path, fresh: MetricDem | None = None) -> HeightField:
 
 
 def _opened(path: Path) -> BinaryIO:
-    """Open a file to read and write; to read where it must not be written."""
+    """Open a file to read, and to write if that is allowed."""
     try:
         return path.open("r+b", buffering=0)
     except PermissionError:
@@ -195,7 +196,10 @@ def _opened(path: Path) -> BinaryIO:
 
 
 def _field_in(file: BinaryIO, path: Path, fresh: MetricDem | None) -> HeightField:
-    """Return the height field in an open file; raises `ValueError` for any other file."""
+    """Return the height field in an open file.
+
+    Raises `ValueError` for any other file.
+    """
     head = file.readline(1 << 20)
     about = json.loads(head) if head.endswith(b"\n") else {}
     if about.get("format") != _FORMAT:
@@ -243,7 +247,10 @@ def _no_block(path: Path, rows: slice, cols: slice) -> Float32Array:
 def _source_of(
     path: Path, about: Mapping[str, Any], heights_m: Float32Array, expected: int
 ) -> Source:
-    """Return the source in a file; one that is damaged is removed, and `InputError` raised."""
+    """Return the source in a file.
+
+    A file that is damaged is removed, and `InputError` raised.
+    """
     if checksum(heights_m) != expected:
         path.unlink(missing_ok=True)
         raise InputError(f"{path} was damaged, and is removed; run the command again")

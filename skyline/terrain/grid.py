@@ -1,4 +1,7 @@
-"""North-up grids of samples, and the strips of rows in which large ones are worked on."""
+"""North-up grids of samples, and strips of their rows.
+
+Large grids are worked on strip by strip.
+"""
 
 import math
 from collections.abc import Iterator

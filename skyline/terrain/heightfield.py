@@ -1,4 +1,4 @@
-"""Terrain as a metric grid of heights: the surface that all renderers share.
+"""Height fields: metric grids of heights, which all renderers share.
 
 Each cell between four samples is two triangles, split along the diagonal that joins its north-west
 and south-east samples. A triangle with a hole (NaN) among its samples is not part of the surface.
@@ -220,18 +220,27 @@ class HeightField:
         return int((self._lazy_heights or self.heights_m).shape[1])
 
     def part(self, rows: slice, cols: slice) -> FloatArray:
-        """Return the heights at some rows and columns; no others are read for it."""
+        """Return a part of the heights.
+
+        Heights that are made when they are needed are made for this part only.
+        """
         lazy = self._lazy_heights
         within = slice(*rows.indices(self.rows)[:2]), slice(*cols.indices(self.cols)[:2])
         return self.heights_m[within] if lazy is None else lazy.part(*within)
 
     def samples_at(self, row: Int64Array, col: Int64Array) -> FloatArray:
-        """Return the heights at rows and columns, which broadcast; no others are read for it."""
+        """Return the heights at rows and columns, which broadcast.
+
+        Heights that are made when they are needed are made around these only.
+        """
         lazy = self._lazy_heights
         return self.heights_m[row, col] if lazy is None else lazy.at(row, col)
 
     def highest_m(self, rows: slice, cols: slice) -> float:
-        """Return a bound above the heights at some rows and columns; -inf where none is known."""
+        """Return a bound above the heights of a part.
+
+        It is -inf where there is no height.
+        """
         lazy = self._lazy_heights
         if lazy is not None:
             return lazy.highest_m(rows, cols)

@@ -1,7 +1,8 @@
-"""Elevation models that are kept as they were read, so that later runs need not read them again.
+"""Elevation models that are kept for later runs.
 
-A model is kept in the cache under a digest of all that its heights depend on: the names, sizes and
-times of its files and of files beside them, the options, and the code that reads them.
+A later run maps a model into memory as it was read, and does not open its files. A model is kept in
+the cache under a digest of all that its heights depend on: the names, sizes and times of its files
+and of files beside them, the options, and the code that reads them.
 """
 
 import hashlib
@@ -46,13 +47,16 @@ def kept_bytes() -> int:
 
 
 def remove_models() -> None:
-    """Remove all kept models; runs that use one keep what they have opened."""
+    """Remove all kept models.
+
+    Runs that use one keep what they have opened.
+    """
     for _, path in _kept():
         path.unlink(missing_ok=True)
 
 
 def _kept() -> list[tuple[os.stat_result, Path]]:
-    """Return the files of kept models, those first that were used longest ago."""
+    """Return the files of kept models, the least recently used first."""
     known = []
     for path in models_folder().glob("*"):
         with suppress(FileNotFoundError):
@@ -61,7 +65,10 @@ def _kept() -> list[tuple[os.stat_result, Path]]:
 
 
 def place_of(names: Sequence[str], options: DemOptions) -> Path | None:
-    """Return where the model of some files is kept; None for files that may change unnoticed."""
+    """Return where the model of some files is kept.
+
+    It is None for files that may change unnoticed.
+    """
     beside: dict[Path, list[Path]] = {}
     files: list[Path] = []
     for name in names:
@@ -112,7 +119,10 @@ def keep_model(dem: MetricDem, place: Path, warnings: Sequence[LoggedWarning]) -
 
 
 def _has_room(folder: Path, dem: MetricDem) -> bool:
-    """Remove the models that were used longest ago, until another has room beside them."""
+    """Make room for another model, and return whether there is any.
+
+    The models that were used longest ago are removed.
+    """
     samples = dem.grid.rows * dem.grid.cols
     if dem.source is not None:
         samples += dem.source.heights_m.size

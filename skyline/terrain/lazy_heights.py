@@ -32,7 +32,7 @@ MakeBlock = Callable[[slice, slice], Float32Array]
 
 
 def block_counts(shape: Shape) -> Shape:
-    """Return how many blocks lie along the rows and along the columns of a grid."""
+    """Return the numbers of blocks along a grid's sides."""
     return -(-shape[0] // _ROWS), -(-shape[1] // _COLS)
 
 
@@ -44,7 +44,7 @@ def block_slices(shape: Shape, down: int, right: int) -> tuple[slice, slice]:
 
 
 def spans_of(shape: Shape) -> tuple[list[slice], list[slice]]:
-    """Return the rows of the blocks of a grid from north to south, and the columns west to east."""
+    """Return the rows and the columns of all blocks of a grid."""
     down, right = block_counts(shape)
     rows = [block_slices(shape, at, 0)[0] for at in range(down)]
     cols = [block_slices(shape, 0, at)[1] for at in range(right)]
@@ -57,7 +57,10 @@ def checksum(samples: Float32Array) -> int:
 
 
 def bounds_of(heights_m: Float32Array) -> Float32Array:
-    """Return the lowest and the highest height (2, R, C) of each block, infinite where none is."""
+    """Return the lowest and the highest height (2, R, C) of each block.
+
+    They are infinite where there is no height.
+    """
     bounds = np.stack([reduced(one, heights_m, _ROWS, _COLS) for one in (np.fmin, np.fmax)])
     bounds[0][np.isnan(bounds[0])] = np.inf
     bounds[1][np.isnan(bounds[1])] = -np.inf
@@ -65,7 +68,10 @@ def bounds_of(heights_m: Float32Array) -> Float32Array:
 
 
 def reduced(reduce: np.ufunc, values: Float32Array, rows: int, cols: int) -> Float32Array:
-    """Return the reductions of squares of rows and columns, the last of which may be smaller."""
+    """Reduce each square of rows and columns to one value.
+
+    The last squares may be smaller.
+    """
     lines = values[::rows].copy()
     for line in range(1, rows):
         beside = values[line::rows]
@@ -75,7 +81,10 @@ def reduced(reduce: np.ufunc, values: Float32Array, rows: int, cols: int) -> Flo
 
 
 class Blocks:
-    """The samples of a grid in blocks, in memory or in a file, and which of them are known."""
+    """The samples of a grid in blocks, some of which are known.
+
+    They are in memory or in a file.
+    """
 
     def __init__(self, shape: Shape) -> None:
         """Make a grid in memory, of which no block is known."""
@@ -114,7 +123,10 @@ class Blocks:
         return not self.is_known[down, right]
 
     def put(self, down: int, right: int, samples: Float32Array) -> None:
-        """Keep the samples of a block; in memory if the file takes no more."""
+        """Keep the samples of a block.
+
+        All samples go to memory once the file takes no more.
+        """
         rows, cols = block_slices(self._shape, down, right)
         with self._lock:
             if self._file is not None and self._sums is not None:
@@ -165,7 +177,10 @@ class LazyHeights:
         return bytes(self._noted[0]).decode()
 
     def note_digest(self, digest: str) -> None:
-        """Note the digest of the field, for later runs where the heights are in a file."""
+        """Note the digest of the field.
+
+        Later runs know it where the heights are in a file.
+        """
         with suppress(ValueError):  # The file must not be written.
             self._noted[0] = digest.encode()
 
@@ -194,12 +209,18 @@ class LazyHeights:
         return self.part(slice(0, self.shape[0]), slice(0, self.shape[1]))
 
     def highest_m(self, rows: slice, cols: slice) -> float:
-        """Return a bound above the heights at some rows and columns; -inf where none is known."""
+        """Return a bound above the heights of a part.
+
+        It is -inf where there is no height.
+        """
         touched = tuple(np.transpose(self._touched(rows, cols)))
         return float(self._bounds_m[1][touched].max(initial=-np.inf))
 
     def range_m(self) -> tuple[float, float]:
-        """Return the lowest and the highest height; infinite, and reversed, where there is none."""
+        """Return the lowest and the highest height.
+
+        They are inf and -inf where there is none.
+        """
         return self._extreme(0, 1.0), self._extreme(1, -1.0)
 
     def _extreme(self, which: int, sign: float) -> float:

@@ -1,4 +1,7 @@
-"""A DEM in metres: its samples repaired, and warped where its own map cannot be the frame."""
+"""Elevation models, repaired and in metres.
+
+A model is warped where its own map cannot be the frame.
+"""
 
 import logging
 from dataclasses import asdict, dataclass
@@ -27,7 +30,7 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """Repaired samples on the grid of their files, and the way to a metric grid."""
+    """Repaired samples on their files' grid, and their warp to a metric one."""
 
     heights_m: Float32Array
     """(rows, cols) float32; NaN marks a hole."""
@@ -35,7 +38,7 @@ class Source:
 
     @cached_property
     def bounds_m(self) -> Float32Array:
-        """Bounds (2, R, C) of the heights in each block of the metric grid."""
+        """Bounds (2, R, C) of the heights in each metric block."""
         return self.warp.bounds_m(self.heights_m)
 
     def block(self, rows: slice, cols: slice) -> Float32Array:
@@ -43,7 +46,7 @@ class Source:
         return self.warp.block(self.heights_m, rows, cols)
 
     def in_memory(self) -> LazyHeights:
-        """Return the heights of the metric grid, whose blocks are kept in memory."""
+        """Return the metric heights, whose blocks are kept in memory."""
         target = self.warp.target
         return LazyHeights(Blocks((target.rows, target.cols)), self.block, self.bounds_m)
 

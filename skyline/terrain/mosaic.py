@@ -1,4 +1,7 @@
-"""The mosaic of an elevation model's tiles: whether they fit together, and their heights."""
+"""The mosaic of an elevation model's tiles.
+
+It checks whether the tiles fit together, and reads their heights.
+"""
 
 import itertools
 import logging
@@ -98,7 +101,10 @@ def _read(tiles: Sequence[Tile]) -> Mosaic:
 
 
 def _read_ahead(tiles: Sequence[Tile]) -> Iterator[tuple[Tile, Parts]]:
-    """Yield tiles with their heights; while one is laid, others are read and unpacked."""
+    """Yield tiles with their heights.
+
+    While one is laid, others are read and unpacked.
+    """
     if len(tiles) == 1:
         yield tiles[0], tiles[0].read()
         return
@@ -184,8 +190,8 @@ def border_step_m(lines: Float32Array, is_free: BoolArray) -> float:
     """Return how far a tile stands above its neighbours.
 
     The step is 0 along a border at which the tile joins them. ``lines`` (4, n) are samples from
-    within the tile outwards, two on either side of the border, of which those marked in ``is_free``
-    (n,) count. The slopes on both sides explain their share of a step.
+    within the tile outwards, two on either side of the border; samples marked in ``is_free`` (n,)
+    count. The slopes on both sides explain their share of a step.
     """
     inside, edge, beside, beyond = lines[:, is_free].astype(np.float64)
     with np.errstate(invalid="ignore"):  # Samples without a height are infinite.

@@ -1,4 +1,7 @@
-"""Well-known elevation products: whether a DEM shows the bare ground, or trees and houses too."""
+"""Well-known elevation products, and whether they show the bare ground.
+
+Products of the other kind show trees and houses too.
+"""
 
 import re
 from collections.abc import Sequence

@@ -1,4 +1,7 @@
-"""Provenance of a height field: its files, the options of their reading, and their treatment."""
+"""Provenance of a height field.
+
+It names the files, the options with which they were read, and what was done to their samples.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields

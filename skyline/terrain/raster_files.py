@@ -1,4 +1,7 @@
-"""Rasters that GDAL opens: plain, packed or on a server; their bands, and their errors."""
+"""Rasters that GDAL opens, with their bands and their errors.
+
+A raster is a plain file, a file in an archive, or a file on a server.
+"""
 
 import gzip
 import os
@@ -98,9 +101,10 @@ def _dataset(source: str, header_only: bool, held: ExitStack) -> Any:
 
 
 def _zeros_for(source: str) -> bytes:
-    """Return as many zeros as a packed .hgt tile has bytes; nothing for other files.
+    """Return as many zeros as a packed .hgt tile has bytes.
 
-    Such a tile has no header: its name and its length say all but the samples.
+    There are none for other files. Such a tile has no header: its name and its length say all but
+    the samples.
     """
     if not source.lower().endswith(".hgt.gz"):
         return b""

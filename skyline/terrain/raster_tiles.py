@@ -1,4 +1,6 @@
-"""Tiles: rasters of heights in files, open datasets and arrays, described before they are read.
+"""Tiles: rasters of heights, described before they are read.
+
+A tile comes from a file, an open dataset or an array.
 
 To support a new kind of DEM, add a function here that returns a `Tile`; `open_tile` chooses it for
 a path. `skyline.terrain.mosaic` then reads it, and all commands take it.
@@ -25,7 +27,7 @@ from rasterio.windows import Window
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array
 from skyline.errors import InputError, library
-from skyline.files import archive_of, is_file, on_disk
+from skyline.files import STORE_SCHEMA, archive_of, is_file, on_disk
 from skyline.geodesy.crs import without_vertical
 from skyline.terrain.datums import SAME_UNIT, Vertical, map_conventions, metres_per, vertical_of
 from skyline.terrain.dem_files import no_dem
@@ -188,6 +190,8 @@ def _height_band(source: str, dataset: Any) -> tuple[int, int | None]:
 
     Raises `InputError` unless the dataset has one band of samples on a grid.
     """
+    if dataset.tags().get("schema") == STORE_SCHEMA:
+        raise InputError(f"{source} is a store; name the elevation model from which it was built")
     if dataset.count == 0 and dataset.subdatasets:
         raise InputError(
             f"{source} holds several rasters; name one of them: {', '.join(dataset.subdatasets)}"

@@ -1,4 +1,6 @@
-"""Ray casting on a height field: where rays cross edges of the surface, and first meet it.
+"""Ray casting on a height field.
+
+Rays are cut with the edges of the surface's triangles, up to where they first meet the surface.
 
 Distances are float64 and exact on the surface of triangles. A ray's ``elevation_tan`` is its rise
 over its horizontal distance; the terrain drops with the square of the distance (`Curvature`).

@@ -1,9 +1,9 @@
-"""Repair of a DEM's samples: voids are filled, spikes and fill removed, before it is rendered.
+"""Repair of a DEM's samples before it is rendered.
 
-A skyline is a maximum, so one bad sample makes a phantom ridge. All functions work in place on
-heights (rows, cols), float32 and C-contiguous, and strip by strip, so that a field of hundreds of
-millions of samples costs little more than itself. ``spacing_m`` is the coarser of the two sample
-spacings, metres on the ground.
+Voids are filled, and spikes and fill are removed. A skyline is a maximum, so one bad sample makes a
+phantom ridge. All functions work in place on heights (rows, cols), float32 and C-contiguous, and
+strip by strip, so that a field of hundreds of millions of samples costs little more than itself.
+``spacing_m`` is the coarser of the two sample spacings, metres on the ground.
 
 While a DEM is being read, NaN marks a void, and -inf a void that the file does not declare. +inf
 marks a sample that no file covers: it is never filled, and counts as no neighbour.
@@ -66,7 +66,7 @@ class RepairRules:
 
     @property
     def cached_samples(self) -> int:
-        """Samples of a strip whose every step is taken in the processor's cache."""
+        """Samples of a strip that fits into the processor's cache."""
         return self.strip_samples // 16
 
     def least_step_m(self, spacing_m: float) -> float:

@@ -1,4 +1,6 @@
-"""Resampling of heights from a grid in one CRS to a square grid in metres; summits are kept.
+"""Resampling of heights to a square grid in metres.
+
+The source grid may be in any CRS, and summits are kept.
 
 GDAL's ``WarpedVRT`` overshoots: 4 to 18 % of the summits of Davos, California and Everest came out
 more than 1 m too high. Here no sample is higher than the source's samples around it.
@@ -64,11 +66,11 @@ def square_spacing_m(ground_spacing: tuple[float, float]) -> float:
 
 
 class Warp:
-    """The resampling of heights from a grid in a CRS to a square grid in a frame.
+    """The resampling of heights to a square grid in a frame.
 
-    The methods are `cubic` and `keep_summits`. Eastings and northings of the target are whole
-    multiples of the spacing. It covers the box around the source; samples outside the source's
-    outermost samples are NaN.
+    The source grid is in another CRS. The methods are `cubic` and `keep_summits`. Eastings and
+    northings of the target are whole multiples of the spacing. It covers the box around the source;
+    samples outside the source's outermost samples are NaN.
 
     Raises `InputError` for a source CRS that cannot be transformed, or a target too large.
     """
@@ -87,12 +89,12 @@ class Warp:
         return _positions(self._grid, self.target, self._crs, self._frame)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the source grid, its CRS and the spacing, as JSON can hold them."""
+        """Return the warp as JSON can hold it."""
         grid = asdict(self._grid)
         return {"grid": grid, "crs": self._crs.to_wkt(), "spacing_m": self._spacing_m}
 
     def block(self, heights_m: Float32Array, rows: slice, cols: slice) -> Float32Array:
-        """Return a block of the target, made from the heights of the source grid."""
+        """Return a block of the target, made from the source's heights."""
         target = self.target
         # The sample nearest to a summit may lie across the block's border, so one more is made.
         wide = (
@@ -112,7 +114,7 @@ class Warp:
         return part[top:, left:][: rows.stop - rows.start, : cols.stop - cols.start]
 
     def bounds_m(self, heights_m: Float32Array) -> Float32Array:
-        """Return bounds (2, R, C) of the heights in each block: the lowest and the highest.
+        """Return bounds (2, R, C) below and above the heights of each block.
 
         Resampling goes neither below nor above the samples around a position. Where a block has no
         sample at all, the bounds are infinite, and the lowest is above the highest.
@@ -178,7 +180,8 @@ def _positions(grid: Grid, target: Grid, crs: CRS, frame: Frame) -> _Positions:
 
     It interpolates between nodes where that is exact to `POSITION_TOLERANCE`.
     """
-    from scipy.interpolate import RectBivariateSpline  # noqa: PLC0415  (a fifth of a second, seldom needed)
+    from scipy.interpolate import RectBivariateSpline # noqa: PLC0415 (a fifth of a second, seldom
+    needed)
 
     to_source = transformer(frame.crs, crs)
     turn = full_turn(crs)

@@ -1,4 +1,4 @@
-"""How far an eye sees, and how much of a height field lies beyond."""
+"""How far an eye sees, and how many samples lie beyond."""
 
 import numpy as np
 

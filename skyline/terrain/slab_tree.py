@@ -1,10 +1,11 @@
-"""The tree of slabs over a height field, which bounds the terrain above rays that march over it.
+"""The tree of slabs, which bounds terrain heights along rays.
 
-Seen along one axis, the field is cut across into strips (rows of cells), and these are joined into
-slabs of 2, 16, 128, 1024 strips. A ray drifts sideways by its slope, in cells per strip, so it
-meets only part of a slab. The tree groups rays by bins of slope, and by the block of columns in
-which they enter a band of eight slabs. For each group and each of the eight slabs it holds the
-greatest height near any ray of the group.
+It lets rays that march over a height field skip terrain that they cannot meet. Seen along one axis,
+the field is cut across into strips (rows of cells), and these are joined into slabs of 2, 16, 128,
+1024 strips. A ray drifts sideways by its slope, in cells per strip, so it meets only part of a
+slab. The tree groups rays by bins of slope, and by the block of columns in which they enter a band
+of eight slabs. For each group and each of the eight slabs it holds the greatest height near any ray
+of the group.
 
 Heights are given as codes, whole numbers that grow with them: the greatest code is the code of the
 greatest height, and codes of 16 bits are compared four times as fast as heights.
@@ -46,14 +47,17 @@ def level_count(strips: int) -> int:
 
 
 def blocks_before(slopes: Float64Array) -> int:
-    """Return the number of blocks before the block that begins at column 0."""
+    """Return the number of blocks that begin before column 0."""
     return int(np.ceil(SLABS * np.abs(slopes).max())) + 1
 
 
 def level_shapes(
     lines: int, columns: int, slopes: Float64Array, levels: int
 ) -> list[tuple[int, int, int]]:
-    """Return the bins, bands and blocks of each level of a tree; see `fill_levels`."""
+    """Return the bins, bands and blocks of each level.
+
+    See `fill_levels`.
+    """
     slabs = max(-(-(lines - 1) // LEAF_STRIPS), 1)
     shapes = []
     for level in range(levels):
@@ -138,14 +142,20 @@ class _Spans:
     """
 
     def __init__(self, codes: Codes, stride: int, count: int) -> None:
-        """Take codes (..., columns), a multiple of ``stride``, and the number of spans wanted."""
+        """Take codes, and the number of spans wanted.
+
+        Codes are (..., columns); the columns are a multiple of ``stride``.
+        """
         self._codes = codes
         self._stride = stride
         self._count = count
         self._tables: dict[tuple[int, int], Codes] = {}
 
     def write_maxima(self, line: int, start: int, span: int, out: Codes) -> None:
-        """Write the maxima (..., count) of a line's spans at start, start + stride, ..."""
+        """Write the maxima (..., count) of a line's spans.
+
+        They begin at start, start + stride and so on.
+        """
         power = span.bit_length() - 1
         first, last = (self._maxima(power, line, at) for at in (start, start + span - (1 << power)))
         np.maximum(first, last, out=out)
@@ -156,7 +166,10 @@ class _Spans:
         return self._table(power, phase)[line, ..., slot : slot + self._count]
 
     def _table(self, power: int, phase: int) -> Codes:
-        """Return the maxima of 2**power columns from each column of a phase, contiguous."""
+        """Return the maxima of 2**power columns from each column of a phase.
+
+        They are contiguous.
+        """
         table = self._tables.get((power, phase))
         if table is None:
             if power == 0:

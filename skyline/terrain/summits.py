@@ -1,4 +1,4 @@
-"""Summits of a height field: the highest point near a position, and the prominence of a hill.
+"""Summits of a height field, and the prominence of hills.
 
 The highest sample of a summit lies up to a sample's spacing beside the true summit. An eye beside
 that sample stands on the model's slope, with the summit before it like a wall, although the model

@@ -1,4 +1,7 @@
-"""Surface models beside a DEM: how high trees and houses may rise above the ground."""
+"""Surface models beside a DEM.
+
+They say how high trees and houses may rise above the ground.
+"""
 
 import logging
 import math
@@ -22,7 +25,7 @@ class SurfaceRules:
     """What a surface model may look like above a DEM."""
 
     unknown_m: float = 40.0
-    """Height above ground where a surface model has no height: that of tall trees."""
+    """Height above ground that is assumed where a surface model has no height: tall trees."""
     most_canopy_m: float = 120.0
     """The greatest height in a canopy model; a surface model of high ground has greater ones."""
     least_follow_share: float = 0.5

@@ -1,4 +1,7 @@
-"""The triangles of a height field's surface, and the edges over which a ray may enter it."""
+"""The triangles of a height field's surface, and their edges.
+
+Edges with a triangle on one side only are where rays may enter the surface.
+"""
 
 from dataclasses import dataclass
 

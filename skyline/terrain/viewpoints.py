@@ -1,4 +1,7 @@
-"""Viewpoints: positions of eyes on a height field, given as arrays or in a CSV file."""
+"""Viewpoints: positions of eyes on a height field.
+
+They are given as arrays or in a CSV file.
+"""
 
 from dataclasses import dataclass
 from pathlib import Path

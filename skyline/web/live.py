@@ -104,7 +104,7 @@ class LiveChannel:
     def _looked(self, asked: Mapping[str, Any]) -> dict[str, Any]:
         """Return the skyline at a pose, its gaps, and the summits.
 
-        The gaps are those to the photo's skyline.
+        The gaps are between this skyline and the photo's.
         """
         viewer = self._engine.viewer
         photo = self._session.photo(str(asked.get("photo")))

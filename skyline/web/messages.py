@@ -1,11 +1,11 @@
-"""Messages of the page and the server in JSON: requests, checked and converted, and answers.
+"""Messages of the page and the server in JSON.
 
-`NotedPose` and `Narrowing` check their own numbers.
+Requests are checked and converted, and answers are made. `NotedPose` and `Narrowing` check their
+own numbers.
 """
 
 from collections.abc import Mapping
 from dataclasses import replace
-from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -110,9 +110,9 @@ def outcome_json(result: MatchResult, engine: Engine) -> dict[str, Any]:
 
 
 def _candidate_json(candidate: Pose, engine: Engine) -> dict[str, Any]:
-    """Return a candidate's pose, and beside it what the page shows of a candidate."""
+    """Return a candidate's pose, and what the page shows beside it."""
     return {
-        "pose": {name: _known(value) for name, value in candidate.to_dict().items()},
+        "pose": candidate.to_dict(),
         "rank": candidate.rank,
         "eye_height_m": engine.eye_height_m(candidate),
         "ellipse": _ellipse_json(candidate, engine.matcher.frame),
@@ -121,15 +121,13 @@ def _candidate_json(candidate: Pose, engine: Engine) -> dict[str, Any]:
 
 
 def _ellipse_json(candidate: Pose, frame: Frame) -> list[list[float]] | None:
-    """Return longitude and latitude along a candidate's ellipse; None where it is not known."""
+    """Return longitudes and latitudes along a candidate's ellipse.
+
+    None where the ellipse is not known.
+    """
     ellipse = Ellipse.of(candidate)
     if ellipse is None:
         return None
     outline = frame.to_lonlat(*ellipse.outline_m.T)
     points: list[list[float]] = np.stack(outline, axis=1).tolist()
     return points
-
-
-def _known(value: Any) -> Any:
-    """Return a value, or None for a number that JSON cannot hold."""
-    return None if isinstance(value, float) and not isfinite(value) else value

@@ -89,7 +89,7 @@ class Reach:
         if not listens.is_unspecified:
             return cls(host, (host,), socket.gethostname())
         loopback = "::1" if listens.version == 6 else "127.0.0.1"
-        # A server that listens on all addresses of IPv6 listens on those of IPv4, too.
+        # A server that listens on all addresses of IPv6 listens on all of IPv4, too.
         versions = (4, 6) if listens.version == 6 else (4,)
         own = [one for version in versions for one in own_addresses(version)]
         return cls(loopback, tuple(own) or (socket.gethostname(),), socket.gethostname())
@@ -110,7 +110,7 @@ class Reach:
 def own_addresses(version: int) -> list[str]:
     """Return this machine's addresses of a version of IP.
 
-    Other machines reach it by them. There may be none. The first is that of the route to other
+    Other machines reach it by them. There may be none. The first belongs to the route to other
     networks.
     """
     family, elsewhere = _FAMILIES[version]

@@ -1,4 +1,4 @@
-"""Sessions of the page: each has photos and a folder of its own."""
+"""Sessions of the page, each with its photos and its folder."""
 
 import asyncio
 import secrets
@@ -45,7 +45,7 @@ class Session:
     def path_for(self, name: str) -> Path:
         """Return a new file's path: a random name with a suffix.
 
-        The suffix is that of the given name.
+        ``name`` gives the suffix.
         """
         suffix = Path(name).suffix.lower()
         plain = suffix if suffix[1:].isalnum() and len(suffix) <= 6 else ""

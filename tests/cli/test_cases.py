@@ -91,10 +91,10 @@ def test_an_eye_aloft_stands_at_the_noted_height(cases, oriented):
 def test_a_zoomed_or_cropped_field_of_view_is_searched_and_found(cases, oriented, name):
     folder, truths = cases
     fov_deg = numbers_in(truths[name][1])[0]
-    query = read_skyline(folder / name)
-    low_deg, high_deg = Rays.of(query, MatchConfig().fov_sd_share, finds_fov=True).fov_bounds_deg
+    skyline = read_skyline(folder / name)
+    low_deg, high_deg = Rays.of(skyline, MatchConfig().fov_sd_share, finds_fov=True).fov_bounds_deg
     assert low_deg < fov_deg < high_deg
-    assert abs(query.fov_deg - fov_deg) < 2.0 * query.lens.fov_sd_deg
+    assert abs(skyline.fov_deg - fov_deg) < 2.0 * skyline.lens.fov_sd_deg
     found = oriented(name)
     assert found["trusted"]
     assert found["fov_deg"] == pytest.approx(fov_deg, rel=0.02)
@@ -104,8 +104,8 @@ def test_a_sphere_is_read_whatever_the_prefix_of_its_namespace(cases):
     folder, truths = cases
     name = "sphere_renamed_xmp_prefix.jpg"
     projection, fov_deg = truths[name][1].removesuffix(" degrees").split(", ")
-    query = read_skyline(folder / name)
-    assert (query.projection, query.fov_deg) == (projection, float(fov_deg))
+    skyline = read_skyline(folder / name)
+    assert (skyline.projection, skyline.fov_deg) == (projection, float(fov_deg))
 
 
 def test_names_in_many_scripts_are_each_drawn_or_named(cases):

@@ -13,8 +13,7 @@ import cv2
 import numpy as np
 import pytest
 from commands import assert_refused, csv_of, lonlat_of
-from rasterio.transform import Affine
-from scenes import NORTH_M, SPACING_M, WEST_M, fractal, write_dem
+from scenes import NORTH_M, WEST_M, across_antimeridian, fractal, write_dem
 
 from skyline import read_dem, stand_on
 from skyline.store.read import open_store
@@ -54,17 +53,21 @@ def test_a_shell_completes_commands_and_options(run, monkeypatch, typed, at, com
     assert completed in run().out.split()
 
 
-def test_render_a_list_of_viewpoints(run, dem, viewpoints_csv, tmp_path):
-    pictures, out = tmp_path / "pictures", tmp_path / "out.h5"
-    run(
-        "render", dem, "--viewpoints", viewpoints_csv, "-o", out, "--width", "160",
-        "--depth-images", pictures,
-    ).ok()  # fmt: skip
+@pytest.fixture
+def rendered(run, dem, viewpoints_csv, tmp_path):
+    """A folder with a store of the three viewpoints, 160 columns wide, and their pictures."""
+    listed = "--viewpoints", viewpoints_csv, "--width", "160"
+    pictures = "--depth-images", tmp_path / "pictures"
+    run("render", dem, *listed, *pictures, "-o", tmp_path / "out.h5").ok()
+    return tmp_path
+
+
+def test_the_views_of_a_list_are_seen_from_its_viewpoints(dem, rendered):
     terrain = read_dem([dem])
     easting_m = WEST_M + 900 + 300 * np.arange(3)
     eyes = stand_on(terrain, easting_m=easting_m, northing_m=NORTH_M - 1500, eye_height_m=12.0)
     truth = oracle.skyline(terrain, eyes, 160)
-    with open_store(out) as opened:
+    with open_store(rendered / "out.h5") as opened:
         views = opened.views()
     assert len(views) == 12
     np.testing.assert_allclose(views.easting_m[::4], easting_m, atol=1e-3)
@@ -73,12 +76,14 @@ def test_render_a_list_of_viewpoints(run, dem, viewpoints_csv, tmp_path):
     assert unflagged.mean() > 0.3
     error_px = (views.v - truth.v)[unflagged] * 80.0
     assert np.abs(error_px).max() < 0.51
+
+
+def test_the_pictures_of_a_list_have_the_names_of_its_viewpoints(rendered):
+    pictures = rendered / "pictures"
     depth = cv2.imread(str(pictures / "0001_site-1_heading_2.tif"), cv2.IMREAD_UNCHANGED)
     assert depth.shape == (160, 160)
     assert depth.dtype == np.float32
-    picture = cv2.imread(str(pictures / "0001_site-1.png"))
-    assert picture is not None
-    assert picture.std() > 20.0
+    assert cv2.imread(str(pictures / "0001_site-1.png")).std() > 20.0
 
 
 def test_a_store_holds_one_kind_of_rows(run, dem, store, renderings, viewpoints_csv, tmp_path):
@@ -148,16 +153,12 @@ def stop(run, monkeypatch):
 
 
 @pytest.mark.parametrize("name", STOPPED)
-def test_a_build_stopped_by_ctrl_c_says_how_it_is_continued(run, stop, dem, photo, tmp_path, name):
+def test_a_build_stopped_by_ctrl_c_is_no_store_yet(run, stop, dem, photo, tmp_path, name):
     out = tmp_path / "store.h5"
     done = stop(STOPPED[name], name, dem, "-o", out, *STOPPED[name].options)
     assert done.code == 130
-    assert "the same command continues" in done.err
-    assert done.err.count("\n") == 1
-    # It is no store yet, and every command that reads one reports how far it is.
     for reading in (("info", out), ("store", "check", out), ("match", out, photo)):
-        there = "its build is not finished (2 parts are there)"
-        assert_refused(run(*reading), f"{there}; give the same `skyline {name}` command again")
+        assert_refused(run(*reading))
 
 
 @pytest.mark.parametrize("name", STOPPED)
@@ -198,9 +199,7 @@ def test_info_of_a_dem_and_of_a_store(run, dem, store, renderings):
 
 
 def test_bounds_across_the_antimeridian_are_shown_and_accepted(run, tmp_path):
-    # The antimeridian lies at easting 819,450 of UTM 60 S there.
-    grid = Affine(SPACING_M, 0.0, 817_650.0, 0.0, -SPACING_M, 8_119_650.0)
-    dem = write_dem(tmp_path / "dem.tif", fractal(110, 120), "EPSG:32760", transform=grid)
+    dem = across_antimeridian(tmp_path / "dem.tif")
     west, south, east, north = json.loads(run("info", dem, "--json").out)["bounds_deg"]
     assert (west, east) == pytest.approx((179.983, -179.983), abs=1e-3)
     assert (south, north) == pytest.approx((-17.015, -16.985), abs=1e-3)
@@ -211,7 +210,7 @@ def test_bounds_across_the_antimeridian_are_shown_and_accepted(run, tmp_path):
     assert facts["bounds_deg"][0] > 179.98
     assert -180.0 < facts["bounds_deg"][2] < -179.98
     done = run("build", dem, "-o", tmp_path / "no.h5", "--bounds", "-179.9,-17,-179.8,-16.9")
-    assert_refused(done, "which covers 179.9830,-17.0150,-179.9830,-16.9850")
+    assert_refused(done)
 
 
 @pytest.mark.slow
@@ -225,9 +224,9 @@ def test_examples_run(dem, store, photo, viewpoints_csv, tmp_path):
 
     batch = run_example(EXAMPLES / "render_batch.sh", dem, viewpoints_csv, tmp_path / "batch.h5")
     assert "12 renderings" in batch
-    query = run_example(sys.executable, EXAMPLES / "match_query.py", store, photo)
+    printed = run_example(sys.executable, EXAMPLES / "match_photo.py", store, photo)
     line = r": (\S+) (\S+) heading (\S+) from true north confidence [01]\.\d\d$"
-    places = re.findall(line, query, re.MULTILINE)
+    places = re.findall(line, printed, re.MULTILINE)
     assert 1 <= len(places) <= 3
     lat, lon, heading_deg = map(float, places[0])
     assert abs(heading_deg - 140.95) < 1.5  # the grid's 140, and 0.95 of convergence

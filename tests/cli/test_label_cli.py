@@ -71,7 +71,7 @@ def test_a_photo_that_does_not_fit_its_place_has_no_names(run, dem, photo, peaks
     elsewhere = "{},{}".format(*lonlat_of(dem, 600_900.0, 5_177_000.0))
     out = tmp_path / "names.json"
     common = "label", photo, "--dem", dem, "--peaks", peaks, "-o", out
-    assert_refused(run(*common, "--at", elsewhere, "--fov-deg", 60), "direction is not sure")
+    assert_refused(run(*common, "--at", elsewhere, "--fov-deg", 60))
     assert not out.exists()
 
 
@@ -108,47 +108,46 @@ def test_a_picture_names_the_summits_that_no_font_draws(
     assert UNDRAWN in (tmp_path / "a.svg").read_text()
 
 
-def test_a_pose_is_read_as_commands_print_it(run, dem, photo, pose, tmp_path):
-    record = json.loads(pose.read_text())
-    off = record | {"heading_deg": 10.0}
-    result = {"photo": str(photo), "answer": record, "candidates": [record, off]}
+def lines_of_two(photo, record, off):
+    """Return the lines of another photo's answer and of the photo's."""
     other = {"photo": "other.jpg", "answer": off, "candidates": [off]}
-    forms = {
-        "record": json.dumps(record),
-        "answer": json.dumps(result),
-        "lines": f"{json.dumps(other)}\n{json.dumps(result)}\n",
-        "no answer": json.dumps(result | {"answer": None}),
-        "refused": json.dumps(record | {"photo": str(photo), "refusal": "fog"}),
-    }
-    found, notes = {}, {}
-    for name, text in forms.items():
-        (tmp_path / "form.json").write_text(text)
-        common = "pixels", photo, "--pose", tmp_path / "form.json", "--dem", dem, "--step", 20
-        done = run(*common, "-o", tmp_path / "form.npz").ok()
-        notes[name] = done.err
-        with np.load(tmp_path / "form.npz") as file:
-            found[name] = file["distance_m"]
-    for name in forms:
-        np.testing.assert_array_equal(found[name], found["record"])
-    assert notes["record"] == notes["answer"] == notes["lines"] == ""
-    assert "no answer, so the best candidate is taken" in notes["no answer"]
-    assert "not trusted: fog" in notes["refused"]
+    result = {"photo": str(photo), "answer": record, "candidates": [record, off]}
+    return f"{json.dumps(other)}\n{json.dumps(result)}\n"
 
 
 @pytest.mark.parametrize(
-    ("above_m", "said"), [(0.0, "0.0 m above the ground"), (-4.0, "4.0 m below the ground")]
+    ("written", "is_noted"),
+    [
+        (lambda _, record, off: json.dumps({"answer": record, "candidates": [record, off]}), False),
+        (lines_of_two, False),
+        (lambda _, record, off: json.dumps({"answer": None, "candidates": [record, off]}), True),
+        (lambda _, record, off: json.dumps(record | {"refusal": "fog"}), True),
+    ],
+    ids=["answer", "lines", "no answer", "refused"],
 )
-def test_an_eye_lower_than_a_camera_is_held_is_lifted(
-    run, dem, photo, pose, tmp_path, above_m, said
-):
+def test_a_pose_is_read_as_commands_print_it(run, dem, photo, pose, tmp_path, written, is_noted):
+    def distances_m(path):
+        common = "pixels", photo, "--pose", path, "--dem", dem, "--step", 20
+        done = run(*common, "-o", tmp_path / "form.npz").ok()
+        with np.load(tmp_path / "form.npz") as file:
+            return file["distance_m"], done.err
+
+    record = json.loads(pose.read_text())
+    form = tmp_path / "form.json"
+    form.write_text(written(photo, record, record | {"heading_deg": 10.0}))
+    found_m, note = distances_m(form)
+    np.testing.assert_array_equal(found_m, distances_m(pose)[0])
+    assert bool(note) == is_noted
+
+
+@pytest.mark.parametrize("above_m", [0.0, -4.0])
+def test_an_eye_lower_than_a_camera_is_held_is_lifted(run, dem, photo, pose, tmp_path, above_m):
     record = json.loads(pose.read_text())
     ground_m = float(read_dem([dem]).height_at(lon=record["lon"], lat=record["lat"]))
     low = tmp_path / "low.json"
     low.write_text(json.dumps(record | {"eye_elevation_m": ground_m + above_m}))
     common = "pixels", photo, "--pose", low, "--dem", dem, "--step", 20
-    done = run(*common, "-o", tmp_path / "low.npz").ok()
-    assert f"the pose's eye is {said}" in done.err
-    assert "it is lifted to 0.3 m above it" in done.err
+    run(*common, "-o", tmp_path / "low.npz").ok()
     with np.load(tmp_path / "low.npz") as file:
         seen_m = file["distance_m"][np.isfinite(file["distance_m"])]
         held = json.loads(str(file["pose"]))
@@ -163,11 +162,11 @@ def test_pixels_do_not_replace_the_elevation_model(run, dem, photo, pose):
     new = dem.with_name("new.tif")
     for output in (new, dem.parent / "new" / "new.tif"):
         done = run("pixels", photo, "--pose", pose, "--dem", dem.parent, "-o", output)
-        assert_refused(done, "would become a part of the DEM")
+        assert_refused(done)
         assert not output.exists()
 
 
 def test_two_outputs_of_one_name_are_refused(dem):
     check_outputs([dem], [Path("https://" + 5000 * "x")])  # An address is no file, however long.
-    with pytest.raises(InputError, match="the name of two outputs"):
+    with pytest.raises(InputError):
         check_outputs([dem, None, dem], [])

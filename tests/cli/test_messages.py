@@ -1,16 +1,33 @@
 """Messages of mistakes, and options whose names and meanings go one to one."""
 
+import json
 import logging
+import os
+import re
 import shutil
+from collections import namedtuple
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import assert_refused, csv_of, lonlat_of
-from scenes import WEST_M, fractal, write_dem
+from commands import assert_refused, csv_of, gps_of, lonlat_of, noting
+from packages import install
+from range_server import Behaviour, serve, serve_apart
+from refusals import assert_says
+from remote_scenes import SIGNATURE, files_beside, on_server
+from scenes import NORTH_M, WEST_M, across_antimeridian, degree_tile, fractal, write_dem
 
-from skyline import cli
-from skyline.errors import start_logging
+from skyline import Frame, Matcher, Narrowing, cli, open_store, read_dem
+from skyline.cache import cached_areas
+from skyline.errors import FetchError, InputError, start_logging
+from skyline.fetch.overpass import fetch_peaks
+from skyline.fetch.remote import Patience
+from skyline.files import check_outputs
+from skyline.location import area_of
+from skyline.report.results_file import ResultsFile
+from skyline.store.write import write_store
 
 
 def options():
@@ -79,7 +96,7 @@ def test_a_store_in_place_of_a_dem_is_told(run, store):
 
 def test_other_bounds_for_a_store_are_explained(run):
     shown = " ".join(run("build", "--help").ok().out.replace("│", " ").split())
-    assert "One that exists gets the places of other --bounds as well" in shown
+    assert "If it exists, the places of other --bounds are added to it" in shown
 
 
 def test_a_warning_looks_like_an_error(capsys):
@@ -108,6 +125,7 @@ MISTAKES = [
         "name a folder that holds no DEM",
     ),
     ("render {dem} -o {store} --spacing 600", "is 'places' there, 'renderings' here"),
+    ("render {dem} -o {renderings} --planner rov", "config planner is 'uniform' there, 'rov' here"),
     ("build {dem} -o {renderings}", "is 'renderings' there, 'places' here"),
     ("build {dem} -o {out} --workers 0", "workers is 0; expected 1 or more"),
     ("build {dem} -o {out} --workers nonsense://x", "no dask scheduler answers"),
@@ -193,7 +211,7 @@ MISTAKES = [
     ("orient {photo} --dem {dem}", "notes no GPS position; give the place: --at LON,LAT"),
     ("orient {photo} --dem {dem} --at 9", "expected LON,LAT in degrees"),
     ("orient {photo} --dem {dem} --at 0,0", "off the map"),
-    ("orient {photo} --dem {dem} --at 9.2,46.7 --within 900", "skyline match"),
+    ("orient {photo} --dem {dem} --at 9.2,46.7 --position-sd 900", "skyline match"),
     ("orient {photo} --dem {dem} --at {at} --elevation 30000", "is 30000 m; expected metres"),
     (
         "orient {photo} --dem {dem} --at {at} --elevation -400",
@@ -225,6 +243,22 @@ MISTAKES = [
     ("label {photo} --pose {pose} --dem {tmp}/none.tif --peaks {peaks} -o {tmp}/n.png", "none.tif"),
     ("pixels {photo} --pose {pose} --dem {dem} -o {tmp}/p.csv", "expected one of .npz, .tif"),
     ("pixels {photo} --pose {pose} --dem {dem} -o {dem}", "is an input"),
+    # A store in place of an elevation model or of a photo
+    ("pixels {photo} --pose {pose} --dem {store} -o {tmp}/p.npz", "is a store; name the elevation"),
+    (
+        "label {photo} --pose {pose} --dem {renderings} --peaks {peaks} -o {tmp}/n.png",
+        "is a store; name the elevation",
+    ),
+    ("match {store} {photo} --fov-deg 60 --dem {store}", "is a store; name the elevation"),
+    ("orient {store} --dem {dem} --at {at}", "is a store; expected a photo, a sky mask or a trace"),
+    ("extract {store} -o {tmp}/t.csv", "is a store; expected a photo, a sky mask or a trace"),
+    ("locate {store} --near {at},2 --dem {dem}", "is a store; expected a photo"),
+    ("locate {peaks} {file} --near {at},2 --dem {dem}", "expected"),
+    # Folders in place of files, and arguments left out
+    ("orient {photo} --dem {dem} --at {at} -o {tmp}", "is a folder; name a file for the output"),
+    ("extract {photo} -o {tmp}", "is a folder; name a file for the output"),
+    ("build {dem} --spacing 600 -o {tmp}", "is a folder; name the file of a store"),
+    ("orient", "Missing argument 'PHOTO'; see `"),
     # Horizon
     ("horizon {dem}", "give positions as --at LON,LAT or as --viewpoints"),
     ("horizon {dem} --at 7.0,46.8", "the place at lon 7.00000, lat 46.80000 is off"),
@@ -243,6 +277,10 @@ MISTAKES = [
     ("sun {dem} --at {at} --date 21.6.", "expected a day such as"),
     ("sun {dem} --at {at} --date 0001-01-01", "expected a day such as"),
     ("panorama {dem} --at {at} -o {tmp}/p.svg --fov-deg 2", "expected a field of view of 5 to 360"),
+    ("panorama {dem} --at {at} -o {tmp}/p.svg --peaks {photo}", "cannot be read"),
+    # Outputs of another format
+    ("horizon {dem} --at {at} -o {tmp}/new.png", "new.png"),
+    ("match {store} {photo} --report {tmp}/new.html", "promises a file"),
     # Old names
     ("horizon dem.tif --points p.csv", "--viewpoints"),
     ("horizon dem.tif --k 0.2", "No such option: --k"),
@@ -321,8 +359,16 @@ _POSED = '{"lon": 9, "lat": 46, "heading_deg": 1, "fov_deg": 60'
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("{", "cannot be read"),
-        ('{"lon": 9, "lat": 46, "heading_deg": 1}', "has no pose"),
+        ("", "bad.json is empty; expected JSON as `skyline match --json`"),
+        ("{", "bad.json is not JSON (Expecting property name"),
+        ("column_px,row_px\n1,2\n", "bad.json is not JSON (Expecting value"),
+        ("[1, 2]", "bad.json has no pose; expected JSON"),
+        (
+            '{"type": "FeatureCollection"}',
+            "has no lon, lat, heading_deg, fov_deg; expected",
+        ),
+        ('{"candidates": []}', "is of a match that found no place; give another pose"),
+        ('{"lon": 9, "lat": 46, "heading_deg": 1}', "has no fov_deg"),
         ('{"lon": 9, "lat": 46, "heading_deg": "N", "fov_deg": 60}', "heading_deg is N"),
         ('{"lon": 9, "lat": 46, "heading_deg": 1, "fov_deg": 190}', "expected 1 to 179"),
         ('{"lon": 9, "lat": 40, "heading_deg": 1, "fov_deg": 60}', "off the map"),
@@ -332,7 +378,7 @@ _POSED = '{"lon": 9, "lat": 46, "heading_deg": 1, "fov_deg": 60'
         (f'{_POSED}, "distortion": -2}}', "expected -0.3 to 0.3"),
         (f'{_POSED}, "distortion": true}}', "distortion is True"),
         (f'{_POSED}, "distortion": 1{"0" * 400}}}', "expected a number"),
-        ('{"candidates": {"a": 1}}', "has no pose"),
+        ('{"candidates": {"a": 1}}', "has no lon"),
         ('{"photo": "a"}\n{"photo": "b"}', "has 0 lines whose `photo`"),
     ],
 )
@@ -342,6 +388,24 @@ def test_a_bad_pose_is_refused(run, dem, photo, tmp_path, text, message):
     out = tmp_path / "out.npz"
     assert_refused(run("pixels", photo, "--pose", bad, "--dem", dem, "-o", out), message)
     assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ("photo", "photo.jpg is a binary file, as photos are; expected JSON as"),
+        ("store", "store.h5 is a store; expected JSON as"),
+        ("tmp", "cannot be read (Is a directory); expected JSON as"),
+    ],
+)
+@pytest.mark.parametrize("command", ["label", "pixels"])
+def test_what_is_no_file_of_a_pose_is_named(run, read, tmp_path, command, given, message):
+    pose = (read | {"tmp": tmp_path})[given]
+    out = tmp_path / ("out.npz" if command == "pixels" else "out.json")
+    peaks = ("--peaks", read["peaks"]) if command == "label" else ()
+    done = run(command, read["photo"], "--pose", pose, "--dem", read["dem"], *peaks, "-o", out)
+    assert_refused(done, message)
+    assert done.err.count("expected JSON") == 1
 
 
 @pytest.mark.parametrize(
@@ -357,3 +421,372 @@ def test_bad_viewpoints_are_one_line_and_write_nothing(run, dem, tmp_path, heade
     path, out = csv_of(tmp_path / "viewpoints.csv", [row], header), tmp_path / "out.h5"
     assert_refused(run("render", dem, "--viewpoints", path, "-o", out), message)
     assert not list(tmp_path.glob("out.h5*"))
+
+
+def test_a_build_that_was_stopped(run, dem, tmp_path, monkeypatch):
+    def stopped(*_arguments, **_options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("skyline.cli.build.build_store", stopped)
+    out = tmp_path / "store.h5"
+    part = tmp_path / "store.h5.parts" / "0123" / "places-00001-00004-of-00037.h5"
+    part.parent.mkdir(parents=True)
+    part.touch()
+    done = run("build", dem, "-o", out, "--spacing", 80)
+    assert (done.code, done.err.count("\n")) == (130, 1)
+    assert "the same command continues" in done.err
+    there = "its build is not finished (a part is there)"
+    for reading in (("info", out), ("store", "check", out)):
+        assert_refused(run(*reading), f"{there}; give the same `skyline build` command again")
+
+
+def test_bounds_off_a_dem_across_the_antimeridian(run, tmp_path):
+    dem, out = across_antimeridian(tmp_path / "dem.tif"), tmp_path / "no.h5"
+    done = run("build", dem, "-o", out, "--bounds", "-179.9,-17,-179.8,-16.9")
+    assert_refused(done, "which covers 179.9830,-17.0150,-179.9830,-16.9850")
+
+
+@pytest.fixture
+def holed(tmp_path):
+    """A DEM with a hole in its middle."""
+    heights = np.zeros((90, 90), np.float32)
+    heights[30:60, 30:60] = np.nan
+    return write_dem(tmp_path / "dem.tif", heights, nodata=np.nan)
+
+
+@pytest.mark.parametrize(
+    "command", ["horizon", "sun --date 2026-06-21", "panorama -o {tmp}/panorama.png"]
+)
+def test_a_place_on_a_hole(run, holed, tmp_path, command):
+    at = "{:.6f},{:.6f}".format(*lonlat_of(holed, WEST_M + 1350.0, NORTH_M - 1350.0))
+    name, *options = command.format(tmp=tmp_path).split()
+    assert_refused(run(name, holed, "--at", at, *options), "is on a hole of the DEM")
+
+
+def test_horizons_that_look_over_a_border_or_a_hole(run, holed, caplog):
+    at = "{:.6f},{:.6f}".format(*lonlat_of(holed, WEST_M + 300.0, NORTH_M - 300.0))
+    run("horizon", holed, "--at", at).ok()
+    assert "look over the DEM's border or over a hole" in caplog.text
+
+
+@pytest.mark.parametrize(
+    "text", ['{"features": 3}', "[]", "{", '{"features": [{"properties": null}]}']
+)
+def test_geojson_that_is_none_is_named(run, dem, tmp_path, text):
+    (tmp_path / "peaks.geojson").write_text(text)
+    at = "{:.6f},{:.6f}".format(*lonlat_of(dem))
+    panorama = "panorama", dem, "--at", at, "-o", tmp_path / "panorama.svg"
+    assert_refused(run(*panorama, "--peaks", tmp_path / "peaks.geojson"), "peaks.geojson")
+
+
+class TestLabels:
+    def test_at_a_place_that_does_not_fit(self, run, read, tmp_path):
+        elsewhere = "{},{}".format(*lonlat_of(read["dem"], 600_900.0, 5_177_000.0))
+        common = "label", read["photo"], "--dem", read["dem"], "--peaks", read["peaks"]
+        done = run(*common, "-o", tmp_path / "n.json", "--at", elsewhere, "--fov-deg", 60)
+        assert_refused(done, "direction is not sure")
+
+    def test_of_a_pose_that_is_no_answer(self, run, read, tmp_path):
+        record, path = json.loads(read["pose"].read_text()), tmp_path / "pose.json"
+        photo = {"photo": str(read["photo"])}
+        for written, said in (
+            ({"answer": None, "candidates": [record]}, "no answer, so the best candidate is taken"),
+            (record | {"refusal": "fog"}, "not trusted: fog"),
+        ):
+            path.write_text(json.dumps(photo | written))
+            done = pixels_of(run, read | {"pose": path}, tmp_path / "p.npz").ok()
+            assert said in done.err
+
+    @pytest.mark.parametrize(
+        ("above_m", "said"), [(0.0, "0.0 m above the ground"), (-4.0, "4.0 m below the ground")]
+    )
+    def test_of_an_eye_that_is_lifted(self, run, read, tmp_path, above_m, said):
+        record = json.loads(read["pose"].read_text())
+        ground_m = read_dem([read["dem"]]).height_at(lon=record["lon"], lat=record["lat"])
+        record["eye_elevation_m"] = float(ground_m) + above_m
+        (tmp_path / "low.json").write_text(json.dumps(record))
+        done = pixels_of(run, read | {"pose": tmp_path / "low.json"}, tmp_path / "p.npz").ok()
+        assert f"the pose's eye is {said}" in done.err
+        assert "it is lifted to 0.3 m above it" in done.err
+
+    @pytest.mark.parametrize("name", ["new.tif", "new/new.tif"])
+    def test_in_the_folder_of_the_dem(self, run, read, tmp_path, name):
+        shutil.copy(read["dem"], tmp_path / "dem.tif")
+        done = pixels_of(run, read | {"dem": tmp_path}, tmp_path / name)
+        assert_refused(done, "would become a part of the DEM")
+
+    def test_to_two_outputs_of_one_name(self, dem):
+        assert_says("the name of two outputs", lambda: check_outputs([dem, None, dem], []))
+
+
+def pixels_of(run, read, out):
+    """Run `skyline pixels` with the files that are read."""
+    common = "pixels", read["photo"], "--pose", read["pose"], "--dem", read["dem"]
+    return run(*common, "--step", 40, "-o", out)
+
+
+class TestMatches:
+    @pytest.fixture
+    def match(self, run, store, photo, tmp_path):
+        """Return a function that matches the photo, and keeps the results."""
+        common = "--matcher", "unrefined", "--results", tmp_path / "r.csv"
+        return lambda *more: run("match", store, photo, "--fov-deg", 60, *common, *more)
+
+    def test_that_are_there_already(self, match, tmp_path):
+        match().ok()
+        results, report = tmp_path / "r.csv", tmp_path / "report"
+        said = f"{results}: 1 of 1 are there already"
+        assert match().ok().err == f"{said}\n"
+        geojson = tmp_path / "x.geojson"
+        done = match("--export", geojson, "--report", report).ok()
+        assert done.err == f"{said}, and are matched again for {geojson} and {report}\n"
+
+    def test_of_another_search(self, match):
+        match().ok()
+        assert_refused(match("--near", "10,46,9"), "another store or other options")
+
+    def test_that_another_process_writes(self, match, tmp_path):
+        with ResultsFile(tmp_path / "r.csv", "another search"):
+            done = match()
+        said = f"error: --results {tmp_path / 'r.csv'} is in use by another skyline; wait"
+        assert done.err.startswith(said)
+
+    def test_of_photos_that_fail_name_them(self, run, store, photo, tmp_path):
+        broken = tmp_path / "text.jpg"
+        broken.write_bytes(photo.read_bytes()[:2000])
+        rows = [f"{photo},60", f"{broken},60", f"{photo},0.5"]
+        listed = csv_of(tmp_path / "l.csv", rows, "path,fov_deg")
+        said = run("match", store, listed, "--matcher", "unrefined").err
+        assert said.count("\n") == 2
+        assert f"error: {broken}" in said
+        assert f"error: {photo}: horizontal field of view " in said
+
+    def test_in_a_folder_with_other_files(self, run, store, photo, tmp_path, caplog):
+        shutil.copy(photo, tmp_path / "a.jpg")
+        (tmp_path / "b.xmp").write_text("<x:xmpmeta/>")
+        run("match", store, tmp_path, "--fov-deg", 60, "--matcher", "unrefined").ok()
+        said = f"{tmp_path}: 1 file is left out, which is no picture: b.xmp"
+        assert caplog.messages == [said]
+
+    def test_in_a_store_on_a_map_with_wrong_slopes(self, run, store, photo, tmp_path):
+        with open_store(store) as opened:
+            header = replace(opened.header, frame_wkt=Frame.from_crs("EPSG:3857").wkt)
+            write_store(tmp_path / "old.h5", header, opened.stored())
+        done = run("match", tmp_path / "old.h5", photo, "--fov-deg", 60)
+        said = "on the map of EPSG:3857, where slopes and directions are wrong by up to 8."
+        assert_refused(done, said)
+        assert "build it again" in done.err
+
+    def test_that_could_not_be_refined(self, run, dem, photo, tmp_path):
+        copy, store = shutil.copy(dem, tmp_path / "dem.tif"), tmp_path / "s.h5"
+        run("build", copy, "-o", store, "--spacing", "300").ok()
+        copy.unlink()
+        match = "match", store, photo, "--fov-deg", "60", "--results", tmp_path / "r.csv"
+        assert_refused(run(*match), "with --dem, or accept")
+
+
+@pytest.mark.parametrize("name", ["index.html", "01-map.png", "02-detail.png", "matches.geojson"])
+def test_a_report_that_would_replace_a_file_of_other_origin(
+    run, store, photo, tmp_path, monkeypatch, name
+):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "page").mkdir()
+    (tmp_path / "page" / name).write_text("mine")
+    done = run("match", store, photo, "--fov-deg", 60, "--report", "page")
+    said = f"page/{name} would be replaced, and page has no index.html that is marked"
+    assert_refused(done, said)
+
+
+def test_depth_images_that_would_replace_a_picture(run, dem, tmp_path):
+    frames = tmp_path / "frames"
+    frames.mkdir()
+    (frames / "0000.png").write_bytes(b"mine")
+    render = "render", dem, "--spacing", 3000, "--width", 32, "-o", tmp_path / "v.h5"
+    done = run(*render, "--depth-images", frames)
+    assert_refused(done, "0000.png would be replaced, and")
+
+
+def test_a_planner_that_chooses_no_site(run, dem, tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(tmp_path)
+    code = "def wrong(problem, generator):\n    yield [-1]"
+    install(tmp_path, "wrongly", code, "skyline.planners", wrong="wrongly:wrong")
+    spacing = "--coarse-spacing", "1200", "--site-spacing", "300", "--width", "64"
+    done = run("render", dem, "-o", tmp_path / "s.h5", "--planner", "wrong", *spacing)
+    assert_refused(done, "planner 'wrong' chose")
+
+
+@pytest.mark.parametrize("kind", ["store", "renderings"])
+def test_a_store_that_is_damaged(run, request, tmp_path, kind):
+    data = bytearray(request.getfixturevalue(kind).read_bytes())
+    data[len(data) // 2] ^= 4
+    (tmp_path / "damaged.h5").write_bytes(data)
+    assert_refused(run("store", "check", tmp_path / "damaged.h5"), "is damaged")
+
+
+GAVE_UP = b'{"elements": [], "remark": "runtime error: timed out"}'
+
+
+@pytest.mark.parametrize(
+    ("server", "said"),
+    [
+        ({"status": {"/api": 500}}, "the server answers HTTP 500, not tried again"),
+        ({"delay_s": 30.0}, "no whole answer (timed out)"),
+        ({"drip_s": 0.2}, "incomplete after 1 s"),
+        ({"files": {"/api": b"<html>Welcome</html>"}}, "not one of Overpass (it begins `<html>"),
+        ({"files": {"/api": b"[" * 100_000}}, "not one of Overpass"),
+        ({"files": {"/api": b'{"elements": []}'}}, "knows no named peak in the bounds"),
+        ({"files": {"/api": GAVE_UP}}, "the server gave up (runtime error: timed out)"),
+    ],
+)
+def test_a_server_of_peaks_that_fails_lies_or_hangs(run, tmp_path, monkeypatch, server, said):
+    hasty = partial(fetch_peaks, patience=Patience(retries=0, timeout_s=1))
+    monkeypatch.setattr("skyline.cli.peaks.fetch_peaks", hasty)
+    behaviour = Behaviour(**{"files": {"/api": b'{"elements": [1, 2, 3]}'}} | server)
+    with serve(behaviour) as address:
+        fetch = "peaks", "--bounds", "9.6,46.5,9.8,46.7", "--server", f"{address}/api"
+        done = run(*fetch, "-o", tmp_path / "peaks.geojson")
+    assert done.code == 1, done
+    assert_refused(replace(done, code=2), said)
+
+
+NEAR = "9.5,46.5,1.5"
+
+
+class TestLocate:
+    @pytest.mark.parametrize(
+        ("arguments", "said"),
+        [
+            ("{photo}", "notes no position; say where to search: --near LON,LAT,KM"),
+            (f"{{none}} --near {NEAR}", "does not exist"),
+            ("{photo} --near 7.5,46.5,1 --dem {dem}", "do not meet the DEM"),
+            ("{photo} --near 8.99,46.5,2 --dem {dem}", "not the place 8.99"),
+            (f"{{photo}} --near {NEAR} --dem {{sea}}", "nothing but sea or holes"),
+            ("{photo} --near 9.5,46.5,1 --dem {empty}", "no elevation files"),
+            ("{photo} --near Davos", "with --peaks FILE a name in that file"),
+            ("{photo} --near Nan,5", "with --peaks FILE a name in that file"),
+            ("{photo} --bounds 9.5,46.5,1e-9,1", "bounds are 9.5,46.5,1e-09,1.0"),
+            ("{photo} --near Davo,2 --peaks {places}", "no place named Davo: Davos?"),
+            ("{photo} --near sella --peaks {places}", "sella, at 9.4000,46.4000 and 9.6"),
+        ],
+    )
+    def test_a_mistake_is_one_line_after_the_notes(
+        self, run, one_degree, cache, tmp_path, arguments, said
+    ):
+        (tmp_path / "empty").mkdir()
+        sea = np.zeros((240, 240), np.float32)
+        (tmp_path / "sea.tif").write_bytes(degree_tile(sea, 9, 46))
+        names = {"sea": "sea.tif", "none": "none.jpg", "empty": "empty", "places": "places.csv"}
+        given = {name: tmp_path / file for name, file in names.items()}
+        given |= {"photo": one_degree / "photo.jpg", "dem": one_degree / "dem.tif"}
+        rows = ["Davos,46.5,9.5", "Sella,46.4,9.4", "Sella,46.6,9.6"]
+        csv_of(given["places"], rows, "name,lat,lon")
+        done = run("locate", *(word.format(**given) for word in arguments.split()))
+        notes, _, error = done.err.rstrip("\n").rpartition("\n")
+        assert "error" not in notes
+        assert_refused(replace(done, err=f"{error}\n"), said)
+        assert not list(cache.rglob("*.h5"))
+        assert cached_areas() == []
+
+    @pytest.fixture
+    def locate(self, run, one_degree, cache):
+        """Return a function that locates the photo with options."""
+        return lambda *options: run("locate", one_degree / "photo.jpg", "--fov-deg", 60, *options)
+
+    @pytest.mark.usefixtures("tile_server")
+    def test_what_is_kept_and_where_the_report_is(self, locate, cache):
+        done = locate("--near", NEAR, "--report", "page").ok()
+        assert f"{cache}" in done.err
+        assert "report: page/index.html" in done.out + done.err
+        again = locate("--near", NEAR).ok()
+        assert "in the cache already" in again.err
+        assert "reading the elevation model" not in again.err
+
+    @pytest.mark.parametrize(
+        ("tile", "status", "said"),
+        [
+            ("N46E009", 503, "503.* --dem"),
+            ("N46E009", 404, "usual in the sea"),
+            ("N46E010", 403, "1 of 2 tiles could not be fetched, N46E010: "),
+        ],
+    )
+    def test_a_server_that_fails(self, locate, tile_server, tile, status, said):
+        tile_server.status[f"/{tile}.tif"] = status
+        done = locate("--near", "9.95,46.5,1.5" if tile == "N46E010" else NEAR)
+        assert re.search(said, done.err.splitlines()[-1])
+
+    def test_a_tile_that_a_server_does_not_have(self, locate, tile_server):
+        tile_server.status["/N46E010.tif"] = 404
+        said = "no tile (usually sea) for N46E010"
+        assert said in locate("--near", "9.95,46.5,1.5").ok().err
+
+    @pytest.mark.usefixtures("tile_server")
+    def test_a_cache_without_room_or_rights(self, locate, tmp_path, monkeypatch):
+        usage = namedtuple("usage", "total used free")
+        with monkeypatch.context() as patch:
+            patch.setattr(shutil, "disk_usage", lambda _: usage(9, 9, 0))
+            assert "0 MB are free" in locate("--near", NEAR).err.splitlines()[-1]
+        (tmp_path / "file").write_text("")
+        monkeypatch.setenv("SKYLINE_CACHE", str(tmp_path / "file"))
+        assert_refused(locate("--near", NEAR), "name another folder with SKYLINE_CACHE")
+
+    def test_photos_that_are_far_apart(self, run, one_degree, tmp_path):
+        photos = [
+            noting(one_degree / "photo.jpg", tmp_path / f"{lon}.jpg", gps=gps_of(lon, 46.5))
+            for lon in (9.5, 109.5)
+        ]
+        assert_says("more than 50 km apart", lambda: area_of(photos, Narrowing()))
+
+
+def test_a_fetch_with_a_tile_that_is_refused(run, tile_server, tmp_path):
+    tile_server.status["/N46E010.tif"] = 403
+    source = os.environ["SKYLINE_DEM_SOURCE"]
+    fetch = "dem", "fetch", "--bounds", "9.9,46.4,10.1,46.6", "-o", tmp_path, "--source", source
+    assert "1 of 2 tiles could not be fetched, N46E010: " in run(*fetch).err
+
+
+class TestRemoteDems:
+    @pytest.fixture(scope="class")
+    def server(self):
+        with serve_apart(on_server) as apart:
+            yield apart
+
+    @pytest.fixture(scope="class")
+    def folder(self, server, tmp_path_factory):
+        return files_beside(server.address, tmp_path_factory.mktemp("dems"))
+
+    @pytest.mark.parametrize(
+        ("name", "error", "said"),
+        [
+            ("{server}/gone.tif", FetchError, "404.*check the address"),
+            ("http://127.0.0.1:9/a.tif", FetchError, "[Cc]onnect.*whether the server is up"),
+            ("{folder}/gone.json", FetchError, "gone.tif"),
+            (
+                "http://me:secret@127.0.0.1:9/a.tif?key=secret",
+                FetchError,
+                "^http://127.0.0.1:9/a.tif (?!.*secret)",
+            ),
+            ("{server}/page.tif", InputError, "cannot be read as a raster"),
+            ("{folder}/none.json", InputError, "No compatible asset"),
+            (
+                "{folder}/two.json",
+                InputError,
+                "name one of them: STACIT.*asset=data, .*asset=slope",
+            ),
+        ],
+    )
+    def test_that_cannot_be_read(self, server, folder, name, error, said):
+        path = name.format(server=server.address, folder=folder)
+        assert_says(said, lambda: read_dem(path), error)
+
+    def test_whose_address_is_signed(self, server, run):
+        refused = run("info", f"{server.address}/gone.tif{SIGNATURE}")
+        assert refused.err.count("\n") == 1
+        assert "404" in refused.err
+        assert "signature" not in refused.err
+
+    def test_of_a_store_that_contacts_no_server(self, server, run, tmp_path, caplog):
+        build = "build", f"{server.address}/a.tif", "-o", tmp_path / "store.h5", "--spacing", "300"
+        run(*build).ok()
+        with Matcher(tmp_path / "store.h5"):
+            pass
+        assert "--dem" in caplog.text

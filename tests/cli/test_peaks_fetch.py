@@ -1,13 +1,11 @@
 """``skyline peaks`` against a local server that serves, fails, lies and hangs."""
 
 import json
-from dataclasses import replace
 from functools import partial
 from urllib.parse import parse_qs
 
 import numpy as np
 import pytest
-from commands import assert_refused
 from range_server import Behaviour, serve
 
 from skyline import Frame, read_peaks
@@ -21,7 +19,6 @@ def node(name, lon, lat, **tags):
 
 ELEMENTS = [node("Piz Ela", 9.69, 46.61, ele="3339 m"), node("Tinzenhorn", 9.65, 46.62)]
 GOOD = json.dumps({"elements": ELEMENTS}).encode()
-GAVE_UP = b'{"elements": [], "remark": "runtime error: timed out"}'
 
 
 def overpass(answer=GOOD, **behaviour):
@@ -34,7 +31,7 @@ def fetch(run, behaviour, path, bbox="9.6,46.5,9.8,46.7"):
         return run("peaks", "--bounds", bbox, "--server", f"{address}/api", "-o", path)
 
 
-def queries(behaviour):
+def asked(behaviour):
     return [parse_qs(body)["data"][0] for body in behaviour.posted]
 
 
@@ -43,8 +40,8 @@ def test_peaks_are_fetched_and_read(run, tmp_path):
     server = overpass()
     done = fetch(run, server, path).ok()
     assert "2 peaks" in done.out
-    assert '"natural"~"^(peak|volcano)$"' in queries(server)[0]
-    assert "(46.5,9.6,46.7,9.8)" in queries(server)[0]
+    assert '"natural"~"^(peak|volcano)$"' in asked(server)[0]
+    assert "(46.5,9.6,46.7,9.8)" in asked(server)[0]
     frame = Frame.local(lon=9.7, lat=46.6)
     peaks = read_peaks(path, frame)
     assert peaks.names == ("Piz Ela", "Tinzenhorn")
@@ -57,8 +54,8 @@ def test_a_box_across_the_antimeridian_is_two(run, tmp_path):
     body = json.dumps({"elements": [node("A", 179.9, 1.0), node("B", -179.9, 1.0)]}).encode()
     server = overpass(body)
     fetch(run, server, tmp_path / "peaks.geojson", bbox="179.5,0,-179.5,2").ok()
-    assert "(0.0,179.5,2.0,180.0)" in queries(server)[0]
-    assert "(0.0,-180.0,2.0,-179.5)" in queries(server)[0]
+    assert "(0.0,179.5,2.0,180.0)" in asked(server)[0]
+    assert "(0.0,-180.0,2.0,-179.5)" in asked(server)[0]
 
 
 @pytest.mark.parametrize("trouble", [{"failures": 1, "failing": 429}, {"truncate": 1}])
@@ -69,26 +66,15 @@ def test_a_failure_that_passes_is_tried_again(run, tmp_path, trouble):
 
 
 @pytest.mark.parametrize(
-    ("server", "message"),
-    [
-        ({"status": {"/api": 500}}, "the server answers HTTP 500, not tried again"),
-        ({"delay_s": 30.0}, "no whole answer (timed out)"),
-        ({"drip_s": 0.2}, "incomplete after 1 s"),
-        ({"answer": b"<html>Welcome</html>"}, "not one of Overpass (it begins `<html>"),
-        ({"answer": b"[" * 100_000}, "not one of Overpass"),
-        ({"answer": b'{"elements": []}'}, "knows no named peak in the bounds"),
-        ({"answer": GAVE_UP}, "the server gave up (runtime error: timed out)"),
-    ],
+    "server",
+    [{"status": {"/api": 500}}, {"delay_s": 30.0}, {"drip_s": 0.2}, {"answer": b"[" * 100_000}],
+    ids=["fails", "hangs", "drips", "lies"],
 )
-def test_a_server_that_fails_lies_or_hangs_is_one_line_and_nothing_is_lost(
-    run, tmp_path, monkeypatch, server, message
-):
+def test_a_server_that_gives_no_peaks_loses_nothing(run, tmp_path, monkeypatch, server):
     hasty = partial(fetch_peaks, patience=Patience(retries=0, timeout_s=1))
     monkeypatch.setattr("skyline.cli.peaks.fetch_peaks", hasty)
     path = tmp_path / "peaks.geojson"
     path.write_text("as before")
-    done = fetch(run, overpass(**server), path)
-    assert done.code == 1, done
-    assert_refused(replace(done, code=2), message)
+    assert fetch(run, overpass(**server), path).code == 1
     assert [file.name for file in tmp_path.iterdir()] == ["peaks.geojson"]
     assert path.read_text() == "as before"

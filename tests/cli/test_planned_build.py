@@ -54,6 +54,6 @@ def test_a_store_is_there_at_the_end_of_a_plan_or_not_at_all(valley, tmp_path):
     build_planned(valley, path, planned("lpov"), config=NARROW)
     before = path.read_bytes()
     assert build_planned(valley, path, planned("lpov"), config=NARROW) is None
-    with pytest.raises(StoreMismatchError, match="config planner is 'lpov' there, 'rov' here"):
+    with pytest.raises(StoreMismatchError):
         build_planned(valley, path, planned("rov"), config=NARROW)
     assert path.read_bytes() == before

@@ -21,7 +21,7 @@ def traces(tmp_path):
         ("store", ("--matcher", "unrefined", "--heading", "100", "--heading-slack", "120")),
     ],
 )
-def test_queries_are_matched_by_workers_as_here(run, traces, dask_cluster, request, kind, options):
+def test_photos_are_matched_by_workers_as_here(run, traces, dask_cluster, request, kind, options):
     store = request.getfixturevalue(kind)
     options = "--fov-deg", "60", "--json", *options
     here = run("match", store, *traces[:3], *options)

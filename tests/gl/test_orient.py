@@ -84,7 +84,7 @@ def test_the_place_that_a_photo_notes_is_used(terrain, queries):
     assert abs(off_deg(found, query.truth)[0]) < 0.6
     with pytest.raises(InputError, match="one of lon and lat is given"):
         orient(replace(query.skyline, noted=noted), terrain, lon=9.0)
-    with pytest.raises(InputError, match="known to 900 m"):
+    with pytest.raises(InputError, match="position is 900 m"):
         orient(replace(query.skyline, noted=replace(noted, accuracy_m=900.0)), terrain)
     with pytest.raises(InputError, match="notes no GPS position; give the place: --at"):
         orient(query.skyline, terrain)

@@ -26,7 +26,7 @@ def matcher(store):
 
 
 @pytest.fixture(scope="module")
-def query(photo):
+def skyline(photo):
     """The photo's skyline."""
     return read_skyline(photo, 60.0)
 
@@ -51,11 +51,11 @@ def test_a_pose_says_where_the_eye_stands(matcher, dem):
             viewer.pose(lon=9.0, lat=40.0, heading_deg=0.0)
 
 
-def test_the_skyline_at_the_true_pose_is_the_photos(matcher, query):
+def test_the_skyline_at_the_true_pose_is_the_photos(matcher, skyline):
     with Viewer(matcher.terrain) as viewer:
-        sight = viewer.look(true_pose(viewer, matcher.frame), query)
+        sight = viewer.look(true_pose(viewer, matcher.frame), skyline)
         assert sight.median_gap_deg < 0.1
-        aside = viewer.look(true_pose(viewer, matcher.frame, pitch_deg=2.0), query)
+        aside = viewer.look(true_pose(viewer, matcher.frame, pitch_deg=2.0), skyline)
     gap_deg = aside.gap_deg[np.isfinite(aside.gap_deg)]
     assert np.median(gap_deg) == pytest.approx(2.0, abs=0.1)
 
@@ -64,30 +64,30 @@ def test_the_skyline_at_the_true_pose_is_the_photos(matcher, query):
     (181.0, 6.0, -4.0, 95.0), (359.5, -8.0, 10.0, 30.0),
 ])  # fmt: skip
 def test_a_sight_is_what_four_fine_views_show(
-    matcher, query, heading_deg, pitch_deg, roll_deg, fov_deg
+    matcher, skyline, heading_deg, pitch_deg, roll_deg, fov_deg
 ):
     """Between columns a skyline is straight: a column's height apart where it is not."""
     with Viewer(matcher.terrain) as viewer:
         angles = {"pitch_deg": pitch_deg, "roll_deg": roll_deg, "fov_deg": fov_deg}
         pose = replace(true_pose(viewer, matcher.frame, **angles), heading_deg=heading_deg)
-        sight = viewer.look(pose, query)
+        sight = viewer.look(pose, skyline)
     terrain = matcher.terrain
     eye = stand_on(terrain, easting_m=pose.easting_m, northing_m=pose.northing_m, eye_height_m=2.0)
     config = RenderConfig(4096, matcher.header.curvature)
     with HorizonRenderer(terrain, config) as renderer:
-        fine = sight_of(pose, query, renderer.render(eye[np.zeros(4, int)], HEADINGS))
-    near = np.abs(fine.column_px - query.width_px / 2.0) < 0.5 * query.width_px
+        fine = sight_of(pose, skyline, renderer.render(eye[np.zeros(4, int)], HEADINGS))
+    near = np.abs(fine.column_px - skyline.width_px / 2.0) < 0.5 * skyline.width_px
     order = np.argsort(sight.column_px)
     there = np.interp(fine.column_px[near], sight.column_px[order], sight.row_px[order])
     off_px = np.abs(there - fine.row_px[near])
-    a_column_px = query.width_px * COLUMN_DEG / fov_deg
+    a_column_px = skyline.width_px * COLUMN_DEG / fov_deg
     assert np.percentile(off_px, 99) < 2.0 * a_column_px
     assert sight.column_px.min() < 10.0
-    assert sight.column_px.max() > query.width_px - 10.0
+    assert sight.column_px.max() > skyline.width_px - 10.0
 
 
 @pytest.mark.parametrize(("east_m", "north_m", "turn_deg"), [(60.0, 0.0, 3.0), (-40.0, 50.0, -4.0)])
-def test_a_pose_is_fitted_from_nearby(matcher, query, east_m, north_m, turn_deg):
+def test_a_pose_is_fitted_from_nearby(matcher, skyline, east_m, north_m, turn_deg):
     with Viewer(matcher.terrain) as viewer:
         true = true_pose(viewer, matcher.frame)
         start = replace(
@@ -96,8 +96,8 @@ def test_a_pose_is_fitted_from_nearby(matcher, query, east_m, north_m, turn_deg)
             northing_m=true.northing_m + north_m,
             heading_deg=true.heading_deg + turn_deg,
         )
-        found = matcher.fit(query, start).answer
-        before, after = (viewer.look(one, query).median_gap_deg for one in (start, found))
+        found = matcher.fit(skyline, start).answer
+        before, after = (viewer.look(one, skyline).median_gap_deg for one in (start, found))
     assert math.hypot(found.easting_m - EASTING_M, found.northing_m - NORTHING_M) < 45.0
     assert after < min(0.1, before / 2.0)
     assert (found.origin, found.confidence) == ("fitted", None)
@@ -106,12 +106,12 @@ def test_a_pose_is_fitted_from_nearby(matcher, query, east_m, north_m, turn_deg)
     assert found.terrain_share > 0.9
 
 
-def test_a_bad_fit_has_failed(matcher, query):
+def test_a_bad_fit_has_failed(matcher, skyline):
     with Viewer(matcher.terrain) as viewer:
         true = true_pose(viewer, matcher.frame)
-        fit = matcher.fit(query, replace(true, heading_deg=true.heading_deg + 180.0))
+        fit = matcher.fit(skyline, replace(true, heading_deg=true.heading_deg + 180.0))
         (found,) = fit.candidates
-        gap_deg = viewer.look(found, query).gap_deg
+        gap_deg = viewer.look(found, skyline).gap_deg
     assert fit.answer is None
     assert (found.confidence, found.radius_m) == (None, None)
     assert found.residual_deg == pytest.approx(np.sqrt(np.nanmean(gap_deg**2)), rel=0.2)
@@ -122,8 +122,8 @@ def test_a_bad_fit_has_failed(matcher, query):
 
 def test_a_fit_at_a_candidate_of_a_search_is_that_candidate(matcher, photo):
     """Whether the pose was moved a little or not, and also with an unknown field of view."""
-    for query in (read_skyline(photo, 60.0), read_skyline(photo)):
-        searched = matcher.match(query)
+    for skyline in (read_skyline(photo, 60.0), read_skyline(photo)):
+        searched = matcher.match(skyline)
         for one in searched.candidates[:2]:
             moved = replace(one, easting_m=one.easting_m + 20.0, heading_deg=one.heading_deg + 1.0)
             for start in (one, moved):
@@ -139,11 +139,11 @@ def test_a_fit_at_a_candidate_of_a_search_is_that_candidate(matcher, photo):
                 )
 
 
-def test_a_fit_is_to_what_is_known(matcher, query):
+def test_a_fit_is_to_what_is_known(matcher, skyline):
     with Viewer(matcher.terrain) as viewer:
         start = true_pose(viewer, matcher.frame, eye_height_m=30.0)
-        known = matcher.fit(query, start, Narrowing(eye_height_m=30.0)).best
-        found = matcher.fit(query, start).best
+        known = matcher.fit(skyline, start, Narrowing(eye_height_m=30.0)).best
+        found = matcher.fit(skyline, start).best
 
     def above_m(pose):
         place = {"easting_m": pose.easting_m, "northing_m": pose.northing_m}
@@ -152,16 +152,16 @@ def test_a_fit_is_to_what_is_known(matcher, query):
     assert above_m(known) == pytest.approx(30.0, abs=1e-3)
     assert above_m(found) == pytest.approx(2.0, abs=3.0)
     assert found.residual_deg < known.residual_deg
-    searched = matcher.match(query)
-    for wrong, narrowing in ((searched, Narrowing()), (matcher.fit(query, start), None)):
+    searched = matcher.match(skyline)
+    for wrong, narrowing in ((searched, Narrowing()), (matcher.fit(skyline, start), None)):
         with pytest.raises(InputError, match="the result of `match`"):
             matcher.fit(wrong, start, narrowing)
 
 
-def test_a_match_reports_its_progress_and_ends_when_the_callback_raises(matcher, query):
+def test_a_match_reports_its_progress_and_ends_when_the_callback_raises(matcher, skyline):
     reports = []
-    plain = matcher.match(query)
-    watched = matcher.match(query, report_progress=lambda *report: reports.append(report))
+    plain = matcher.match(skyline)
+    watched = matcher.match(skyline, report_progress=lambda *report: reports.append(report))
     assert watched.candidates == plain.candidates
     steps = [step for step, _ in reports]
     assert list(dict.fromkeys(steps)) == ["screening", "fitting", "refining"]
@@ -173,14 +173,14 @@ def test_a_match_reports_its_progress_and_ends_when_the_callback_raises(matcher,
 
     for wanted in ("screening", "fitting", "refining"):
         with pytest.raises(ZeroDivisionError):
-            matcher.match(query, report_progress=lambda step, _, at=wanted: 1 / (step != at))
-    assert matcher.match(query).candidates == plain.candidates
+            matcher.match(skyline, report_progress=lambda step, _, at=wanted: 1 / (step != at))
+    assert matcher.match(skyline).candidates == plain.candidates
 
 
-def test_a_released_matcher_and_another_thread_are_refused(store, query):
+def test_a_released_matcher_and_another_thread_are_refused(store, skyline):
     made = Matcher(store)
     with ThreadPoolExecutor(1) as pool, pytest.raises(ContextError, match="render in that thread"):
-        pool.submit(made.match, query).result()
+        pool.submit(made.match, skyline).result()
     made.release()
     with pytest.raises(InputError, match="released; make another"):
-        made.match(query)
+        made.match(skyline)

@@ -96,3 +96,41 @@ def chunk_of(path, name, chunk):
     """Return the byte at which a chunk of a dataset begins."""
     with h5py.File(path) as file:
         return int(file[name].id.get_chunk_info(chunk).byte_offset)
+
+
+def damaged_rows(path, header):
+    """Write a store of 2,500 rows of which the second chunk is damaged; return its path."""
+    write_rows(path, 0, 2500, header)
+    flip(path, chunk_of(path, next(iter(header.specs)), 1) + 12)
+    return path
+
+
+def older_store(path):
+    """Write the head of a store of an older schema; return its path."""
+    with h5py.File(path, "w", libver=("v110", "v110")) as file:
+        file.attrs["schema"] = "skyline-store"
+        file.attrs["schema_version"] = 3
+        file.attrs["frame"] = "a text of a variable length"
+        file.create_dataset("committed", data=np.uint64(0))
+    return path
+
+
+def hollow_store(path):
+    """Write a store of 3,000 places of which those of the second chunk are not there."""
+    write_rows(path, 0, 3000, PLACES_HEADER)
+    with edited(path) as file:
+        values = file["places/phase"][:]
+        replace_data("places/phase", **PLACES_HEADER.layout("places/phase", 3000))(file)
+        file["places/phase"][:10], file["places/phase"][2500:] = values[:10], values[2500:]
+    return path
+
+
+def replace_data(name, **layout):
+    """Return an edit that puts a dataset of another layout in the place of one."""
+
+    def edit(file):
+        shape = file[name].shape
+        del file[name]
+        file.create_dataset(name, **{"shape": shape, **layout})
+
+    return edit

@@ -39,25 +39,36 @@ def test_the_photo_s_own_place_is_compared_with_the_answer():
     assert "compass and candidate 1 disagree: if the photo is right, search round its" in far
 
 
-def test_an_answer_and_a_refusal_are_printed_with_their_photo():
+def test_an_answer_is_printed_with_its_photo():
     lens = Lens(60.3, 5.0, reason="EXIF's 35 mm equivalent alone")
     sure = replace(BEST, confidence=0.93, confidence_1km=0.97, refined=True)
-    first, answer, place, *_, lens_line = (
-        MatchResult(skyline_of(lens=lens), (sure,), 1.5, None, 200.0, "a\nb.jpg")
-        .to_text()
-        .splitlines()
-    )
+    result = MatchResult(skyline_of(lens=lens), (sure,), 1.5, None, 200.0, "a\nb.jpg")
+    first, answer, place, *_, lens_line = result.to_text().splitlines()
     assert first == r"a\nb.jpg (1.50 s)"
     assert "candidate 1, right within 200 m" in answer
     assert "lat 46.70000 lon 9.80000" in place
     assert "60.3 degrees, give or take 5; EXIF's 35 mm equivalent alone" in lens_line
-    scored = MatchResult(skyline_of(), (replace(BEST, cost=0.00421, confidence=None),), 1.5, None)
-    assert "cost 0.00421 (the lower" in scored.to_text()
-    refused = MatchResult(skyline_of(), (), 1.5, "no place fits", name="c.jpg")
-    assert refused.to_text() == "c.jpg (1.50 s)\n  no answer: no place fits"
-    assert replace(refused, name="").to_text().startswith("photo (1.50 s)")
-    said = {"photo": "c.jpg", "seconds": 1.5, "refusal": "no place fits"}
-    assert refused.to_dict() == said | {
+
+
+def test_a_candidate_without_a_confidence_is_printed_with_its_cost():
+    unrated = replace(BEST, cost=0.00421, confidence=None)
+    text = MatchResult(skyline_of(), (unrated,), 1.5, None).to_text()
+    assert "cost 0.00421 (the lower" in text
+
+
+REFUSED = MatchResult(skyline_of(), (), 1.5, "no place fits", name="c.jpg")
+
+
+def test_a_refusal_is_printed_with_its_photo():
+    assert REFUSED.to_text() == "c.jpg (1.50 s)\n  no answer: no place fits"
+    assert replace(REFUSED, name="").to_text().startswith("photo (1.50 s)")
+
+
+def test_a_refusal_is_a_record_without_an_answer():
+    assert REFUSED.to_dict() == {
+        "photo": "c.jpg",
+        "seconds": 1.5,
+        "refusal": "no place fits",
         "answer": None,
         "answer_within_m": None,
         "answer_confidence": None,

@@ -15,7 +15,7 @@ def test_a_lost_scheduler_ends_the_run(lost):
     future = Mock(**{"exception.return_value": None, "result.side_effect": lost})
     runner = Runner(Mock(**{"submit.return_value": future}))
     outcomes = runner(print, Opening(0, Mock), [1, 2], ["job 1", "job 2"])
-    with pytest.raises(BuildError, match="scheduler has ended"):
+    with pytest.raises(BuildError):
         next(outcomes)
 
 
@@ -45,7 +45,7 @@ def test_a_bench_opens_a_tool_once_and_releases_it_before_the_next(openings):
 def test_a_tool_that_could_not_be_opened_is_opened_by_the_next_job():
     opening = Opening("a", Mock(side_effect=[InputError("no DEM"), Mock()]))
     bench = Bench()
-    with pytest.raises(InputError, match="no DEM"):
+    with pytest.raises(InputError):
         bench.do(lambda *_: 1, opening, None, print)
     assert bench.do(lambda *_: 2, opening, None, print) == 2
 

@@ -10,7 +10,7 @@ from skyline.match import confidence
 from skyline.pose import DISTANCES_M, FitFigures
 
 AZIMUTH_RAD = np.linspace(-0.5, 0.5, 200)
-QUERY = equally_trusted(AZIMUTH_RAD, 0.1 * np.sin(9.0 * AZIMUTH_RAD), 60.0)
+RAYS = equally_trusted(AZIMUTH_RAD, 0.1 * np.sin(9.0 * AZIMUTH_RAD), 60.0)
 
 
 def retrieved(easting_m, cost):
@@ -41,7 +41,7 @@ def fitted(residual_deg):
 def test_a_pose_that_no_search_found_is_judged_by_how_well_it_fits(within_m):
     model = confidence.models()[confidence.model_name(confidence.FITTED, within_m)]
     poses = fitted(np.array([0.02, 0.1, 0.5, 1.44]))
-    sure = model.probability(confidence.pose_figures(poses, QUERY))
+    sure = model.probability(confidence.pose_figures(poses, RAYS))
     assert (np.diff(sure) < 0.0).all()
     assert sure[0] > 0.9
     assert (sure[:2] > 0.8).all()
@@ -51,7 +51,7 @@ def test_a_pose_that_no_search_found_is_judged_by_how_well_it_fits(within_m):
 def test_a_narrow_search_divides_the_odds_by_the_square_of_its_extent():
     def log_odds(extent_m):
         found = retrieved([0.0, extent_m], [1.0, 2.0])
-        return confidence.refined_figures(fitted(np.full(2, 0.1)), found, QUERY)["log_odds"]
+        return confidence.refined_figures(fitted(np.full(2, 0.1)), found, RAYS)["log_odds"]
 
     # From the extent that was learned from, 8.5 km, nothing is taken off.
     np.testing.assert_array_equal(log_odds(8_500.0), log_odds(80_000.0))

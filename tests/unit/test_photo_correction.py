@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from photo_scenes import make_scene
 
-from skyline import Correction, InputError, NotedPlace, Photo, PhotoSkyline, Projection, Stroke
+from skyline import Correction, NotedPlace, Photo, PhotoSkyline, Projection, Stroke
 from skyline.photo.extract import extract_skyline
 from skyline.photo.sky_mask import skyline_of_mask
 from skyline.photo.strokes import StrokeKind
@@ -106,8 +106,6 @@ def test_a_trace_is_begun_with_and_mended(correction):
     mended = correction.solve([stroke("line", [10, 20], 100.0)], trace)
     assert (mended.row_px[10:21] == 100.0).all()
     assert (mended.row_px[30:] == 250.0).all()
-    with pytest.raises(InputError, match="expected the same image"):
-        correction.solve(start=PhotoSkyline(np.ones(5), np.ones(5), 5, 5))
 
 
 def test_the_border_of_a_mask_or_a_trace_stays_as_it_is():

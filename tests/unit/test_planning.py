@@ -4,14 +4,12 @@ import numpy as np
 import pytest
 from scenes import field_of, fractal
 
-from skyline.errors import InputError
 from skyline.paper import plan as planning
-from skyline.paper.plan import PlanConfig, lay_out, plan
+from skyline.paper.plan import PlanConfig, plan
 from skyline.paper.plan_check import wilson_interval
 from skyline.paper.planners import PLANNERS, arov
 from skyline.plugins import names_of
 from skyline.skylines import Views
-from skyline.survey.plans import uniform_grid
 from skyline_bench.paper import TABLE_1, Simulation, simulate
 
 SPACING = {"coarse_m": 300.0, "site_spacing_m": 30.0}
@@ -76,22 +74,3 @@ def test_wilson_interval_against_a_published_value():
     # 15 of 20: Newcombe 1998 gives 0.5313 to 0.8881.
     low, high = wilson_interval(15, 20)
     assert (round(low, 3), round(high, 3)) == (0.531, 0.888)
-
-
-ON_THE_HOLE = 620.0, -700.0, 1150.0, -640.0
-
-
-@pytest.mark.parametrize(
-    ("make", "said"),
-    [
-        (lambda t: PlanConfig(coarse_m=110.0), "no whole multiple"),
-        (lambda t: PlanConfig(site_spacing_m=400.0), "site spacing is 400.0 m"),
-        (lambda t: lay_out(t, PlanConfig(coarse_m=50_000.0)), "larger than the area"),
-        (lambda t: lay_out(t, PlanConfig(site_spacing_m=1e-6, coarse_m=1.0)), "are too many"),
-        (lambda t: uniform_grid(t, 1e-6), "are too many"),
-        (lambda t: plan(t, views_at, PlanConfig(**SPACING), ON_THE_HOLE), "falls on the surface"),
-    ],
-)
-def test_bad_input_is_refused(terrain, make, said):
-    with pytest.raises(InputError, match=said):
-        make(terrain)

@@ -40,7 +40,7 @@ def test_every_public_name_is_there_once():
     for name in skyline.__all__:
         assert getattr(skyline, name).__name__ == name
         assert getattr(skyline, name).__doc__, name
-    with pytest.raises(AttributeError, match="no_such_name"):
+    with pytest.raises(AttributeError):
         skyline.no_such_name  # noqa: B018
 
 

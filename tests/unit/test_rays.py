@@ -35,8 +35,8 @@ def test_a_field_of_view_is_searched_about_the_one_given():
 )
 def test_lenses_may_distort_and_panoramas_do_not(fov_deg, projection, sd):
     row_px = np.full(64, 20.0)
-    query = PhotoSkyline(row_px, np.ones(64), 64, 48, fov_deg, Projection(projection))
-    assert Rays.of(query, 0.025, finds_fov=True).distortion_sd == sd
+    skyline = PhotoSkyline(row_px, np.ones(64), 64, 48, fov_deg, Projection(projection))
+    assert Rays.of(skyline, 0.025, finds_fov=True).distortion_sd == sd
 
 
 def test_a_panorama_s_scale_is_its_field_of_view_s():
@@ -55,6 +55,6 @@ def test_a_panorama_s_scale_is_its_field_of_view_s():
 
 @pytest.mark.parametrize("projection", [Projection.CYLINDRICAL, Projection.EQUIRECTANGULAR])
 def test_rays_of_another_field_of_view_are_those_of_its_photo(projection):
-    query = PhotoSkyline(np.linspace(40.0, 60.0, 64), np.ones(64), 64, 100, 200.0, projection)
-    rays = Rays.of(query, 0.025, finds_fov=True).with_fov(230.0)
-    np.testing.assert_allclose((rays.u, rays.v), query.with_fov(230.0).image_plane())
+    skyline = PhotoSkyline(np.linspace(40.0, 60.0, 64), np.ones(64), 64, 100, 200.0, projection)
+    rays = Rays.of(skyline, 0.025, finds_fov=True).with_fov(230.0)
+    np.testing.assert_allclose((rays.u, rays.v), skyline.with_fov(230.0).image_plane())

@@ -63,8 +63,8 @@ ORDER = np.argsort(SIGHT.column_px)
 ROW_PX = np.interp(np.arange(WIDTH_PX), SIGHT.column_px[ORDER], SIGHT.row_px[ORDER])
 ROW_PX[200:380] = np.nan
 ROW_PX[(ROW_PX < 0.0) | (ROW_PX > HEIGHT_PX)] = np.nan
-QUERY = replace(BLANK, row_px=ROW_PX, trust=np.isfinite(ROW_PX) * 1.0)
-"""The query that the best candidate would take, a fifth of its columns masked."""
+SKYLINE = replace(BLANK, row_px=ROW_PX, trust=np.isfinite(ROW_PX) * 1.0)
+"""The skyline that the best candidate would take, a fifth of its columns masked."""
 MATCHER = SimpleNamespace(
     frame=FIELD.frame, viewpoints=uniform_grid(FIELD, 600.0), terrain=FIELD, header=VIEWS_HEADER,
     render_thread=None,
@@ -81,19 +81,19 @@ def like(image, rgb, within=90):
 
 def test_the_overlay_draws_both_skylines_where_they_are():
     photo = np.full((HEIGHT_PX, WIDTH_PX, 3), 40, np.uint8)
-    image = pixels(draw_overlay(QUERY, photo, BEST, SIGHT)[0])
+    image = pixels(draw_overlay(SKYLINE, photo, BEST, SIGHT)[0])
     assert image.shape[1] == WIDTH_PX
     assert HEIGHT_PX < len(image) < HEIGHT_PX + 60
     found, rendered = like(image, (255, 45, 111)), like(image, (0, 224, 255))
-    columns = np.flatnonzero(QUERY.trusted)[::25]
-    rows = np.rint(QUERY.row_px[columns]).astype(int)
+    columns = np.flatnonzero(SKYLINE.trusted)[::25]
+    rows = np.rint(SKYLINE.row_px[columns]).astype(int)
     near = [found[max(r - 3, 0) : r + 4, c].any() for r, c in zip(rows, columns, strict=True)]
     assert np.mean(near) > 0.9
     assert not found[:450, 215:365].any()
     # Where the found skyline is masked, the rendered one is there alone, and the ground is veiled.
     assert rendered[:450, 215:365].any(axis=0).mean() > 0.8
     assert image[450:470, 230:350].mean() > image[450:470, 600:700].mean() + 5.0
-    bare = pixels(draw_overlay(QUERY, photo, BEST)[0])
+    bare = pixels(draw_overlay(SKYLINE, photo, BEST)[0])
     assert not like(bare, (0, 224, 255)).any()
 
 
@@ -103,24 +103,40 @@ def report(folder, results, matcher=MATCHER, peaks=None, photos=None, done=""):
     return page.read_text()
 
 
-def test_a_report_says_where_and_shows_it(tmp_path):
-    place = {"easting_m": np.array([1500.0]), "northing_m": np.array([3000.0])}
-    peaks = Peaks(names=("<i>Top</i> $ \u5bcc\u58eb\u5c71",), **place, height_m=np.array([np.nan]))
+@pytest.fixture
+def shown(tmp_path):
+    """The page of a report of one photo, whose name and whose peak's are markup."""
+    place_m = {"easting_m": np.array([1500.0]), "northing_m": np.array([3000.0])}
+    peaks = Peaks(
+        names=("<i>Top</i> $ \u5bcc\u58eb\u5c71",), **place_m, height_m=np.array([np.nan])
+    )
     photo = np.full((HEIGHT_PX, WIDTH_PX, 3), 120, np.uint8)
-    found = MatchResult(QUERY, (BEST, OTHER), 1.5, name="a/<script>.jpg")
-    html = report(tmp_path, [found], MATCHER, peaks, [photo], "Matched & refined.")
-    assert f"{BEST.lat:.5f}" in html
-    assert f"{BEST.lon:.5f}" in html
-    assert "confidence 90\N{NO-BREAK SPACE}%" in html
-    assert "&lt;script&gt;.jpg" in html
-    assert "<script" not in html
-    assert "<i>" not in html
-    # Pictures are inside, and nothing is loaded from anywhere.
-    assert html.count('src="data:image/') == 2
-    assert not re.search(r'src="(?!data:)|url\(|@import|<link|<iframe', html)
-    assert "default-src 'none'" in html
-    assert "Matched &amp; refined. It took 1.50 s." in html
-    assert "0.0" in html.split("they are ")[1][:4]
+    found = MatchResult(SKYLINE, (BEST, OTHER), 1.5, name="a/<script>.jpg")
+    return report(tmp_path, [found], MATCHER, peaks, [photo], "Matched & refined.")
+
+
+def test_a_report_says_where_the_photo_was_taken(shown):
+    assert f"{BEST.lat:.5f}" in shown
+    assert f"{BEST.lon:.5f}" in shown
+    assert "confidence 90\N{NO-BREAK SPACE}%" in shown
+    assert "Matched &amp; refined. It took 1.50 s." in shown
+    assert "0.0" in shown.split("they are ")[1][:4]
+
+
+def test_a_report_takes_no_name_for_markup(shown):
+    assert "&lt;script&gt;.jpg" in shown
+    assert "<script" not in shown
+    assert "<i>" not in shown
+
+
+def test_a_report_holds_its_pictures_and_loads_nothing(shown):
+    assert shown.count('src="data:image/') == 2
+    assert not re.search(r'src="(?!data:)|url\(|@import|<link|<iframe', shown)
+    assert "default-src 'none'" in shown
+
+
+@pytest.mark.usefixtures("shown")
+def test_a_report_shows_its_map_in_a_file_of_its_own(tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == [
         "01-map.png", "01-overlay.jpg", "index.html", "matches.geojson",
     ]  # fmt: skip
@@ -152,16 +168,16 @@ def test_a_report_without_room_leaves_no_new_folder(tmp_path, monkeypatch):
     monkeypatch.setattr(exports, "write_with_folders", full)
     (tmp_path / "old").mkdir()
     for name in ("new", "old"):
-        with pytest.raises(InputError, match="no space"):
-            report(tmp_path / name, [MatchResult(QUERY, (), 0.1, "fog")])
+        with pytest.raises(InputError):
+            report(tmp_path / name, [MatchResult(SKYLINE, (), 0.1, "fog")])
     assert [one.name for one in tmp_path.iterdir()] == ["old"]
 
 
 def test_a_report_distinguishes_abstention_from_failure(tmp_path):
     results = [
-        MatchResult(QUERY, (replace(OTHER, rank=1),), 0.1, "not sure", name="unsure.jpg"),
-        MatchResult(QUERY, (), 0.1, "too little skyline", name="nothing.jpg"),
-        MatchResult(QUERY, (replace(BEST, easting_m=-5000.0),), 0.1, name="off.jpg"),
+        MatchResult(SKYLINE, (replace(OTHER, rank=1),), 0.1, "not sure", name="unsure.jpg"),
+        MatchResult(SKYLINE, (), 0.1, "too little skyline", name="nothing.jpg"),
+        MatchResult(SKYLINE, (replace(BEST, easting_m=-5000.0),), 0.1, name="off.jpg"),
     ]
     html = report(tmp_path, results)
     assert "1 of 3 photos answered" in html
@@ -175,7 +191,7 @@ def test_a_report_distinguishes_abstention_from_failure(tmp_path):
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no chromium to look at the page with")
 def test_a_browser_shows_the_page(tmp_path):
-    report(tmp_path / "report", [MatchResult(QUERY, (BEST, OTHER), 1.5, name="photo.jpg")])
+    report(tmp_path / "report", [MatchResult(SKYLINE, (BEST, OTHER), 1.5, name="photo.jpg")])
     shot = tmp_path / "shot.png"
     flags = "--headless --no-sandbox --disable-gpu --hide-scrollbars --window-size=1000,1900"
     paths = f"--user-data-dir={tmp_path / 'profile'}", f"--screenshot={shot}"

@@ -85,5 +85,5 @@ def test_the_light_comes_from_the_north_west():
 
 @pytest.mark.parametrize("at", [(-1, 0, 0), (2, 4, 0), (99, 0, 0)])
 def test_a_tile_that_is_none_is_refused(at):
-    with pytest.raises(InputError, match="expected a zoom"):
+    with pytest.raises(InputError):
         ReliefTiles(field_of(np.zeros((9, 9), np.float32))).png(*at)

@@ -25,9 +25,9 @@ def test_a_store_says_what_it_holds(store):
 def test_a_result_draws_its_skyline_without_what_is_not_trusted():
     row_px = np.full(40, 12.0)
     row_px[10:15] = np.nan
-    query = PhotoSkyline(row_px, np.isfinite(row_px) * 1.0, 40, 30, 60.0)
+    skyline = PhotoSkyline(row_px, np.isfinite(row_px) * 1.0, 40, 30, 60.0)
     found = candidate_at(1000.0, 2000.0, confidence=0.93, confidence_1km=0.97)
-    html = MatchResult(query, (found,), 1.0, None, 200.0)._repr_html_()
+    html = MatchResult(skyline, (found,), 1.0, None, 200.0)._repr_html_()
     line = re.search(r' d="([^"]*)"', html)[1]
     assert [len(run.split()) for run in line.split("M")[1:]] == [10, 25]
     assert line.startswith("M0,12.0 1,12.0")

@@ -1,4 +1,4 @@
-"""Aligning a query's curve where the answer is known, and where there is none."""
+"""Poses fitted to rays, where the answer is known and where there is none."""
 
 from dataclasses import replace
 
@@ -31,9 +31,9 @@ def curves_of(y, distance_m):
     return Curves.of(y, distance_m, place_m, ground_m, np.zeros((count, 2)), eye_height_m)
 
 
-def settled(hypotheses, panoramas, query, edge=None):
+def settled(hypotheses, panoramas, rays, edge=None):
     """Solve heading, pitch, roll and field of view of hypotheses where they stand."""
-    solver = Solver(query, LONG, EYE, HEIGHT_SD_M, edge=edge)
+    solver = Solver(rays, LONG, EYE, HEIGHT_SD_M, edge=edge)
     curves = curves_of(*panoramas)
     fit = solver.settle(curves, solver.start(hypotheses))
     return solver.poses(curves, fit)
@@ -43,7 +43,7 @@ LENS = rays_of(*seen(hills, **TRUTH), 60.0)
 
 
 @pytest.mark.parametrize(
-    "query",
+    "rays",
     [
         LENS,
         replace(LENS, distortion_sd=0.05),
@@ -51,8 +51,8 @@ LENS = rays_of(*seen(hills, **TRUTH), 60.0)
         swept(hills, *SWEPT, Projection.EQUIRECTANGULAR),
     ],
 )
-def test_derivatives_agree_with_differences(query):
-    solver = Solver(query, FINE, EYE, HEIGHT_SD_M)
+def test_derivatives_agree_with_differences(rays):
+    solver = Solver(rays, FINE, EYE, HEIGHT_SD_M)
     curves = curves_of(*panorama_of(hills))
     warp = [0.05, 0.02, -0.01, 0.03]
     state = np.array([[0.0, 0.0, 3.0, np.radians(351.0), 0.03, -0.02, 0.04, *warp]])
@@ -87,9 +87,9 @@ def test_a_wide_lens_finds_its_distortion():
 
 def test_a_panorama_whose_rows_wander_finds_its_heading():
     wander = np.radians([1.2, -0.5, 0.3, 0.2])
-    query = swept(hills, *SWEPT)
-    query = replace(query, v=query.v - wander_of(np.linspace(-1.0, 1.0, len(query.u))) @ wander)
-    solver = Solver(query, LONG, EYE, HEIGHT_SD_M)
+    rays = swept(hills, *SWEPT)
+    rays = replace(rays, v=rays.v - wander_of(np.linspace(-1.0, 1.0, len(rays.u))) @ wander)
+    solver = Solver(rays, LONG, EYE, HEIGHT_SD_M)
     curves = curves_of(*panorama_of(hills))
     start = poses(grid_heading_deg=203.0, fov_deg=SWEPT[2])
     fit = solver.settle(curves, solver.start(start))
@@ -101,10 +101,10 @@ def test_a_panorama_whose_rows_wander_finds_its_heading():
 
 @pytest.mark.parametrize("raised_deg", [-25.0, 25.0])
 def test_a_sphere_cropped_far_from_the_horizon_is_levelled_exactly(raised_deg):
-    query = swept(hills, 200.0, raised_deg, 230.0, Projection.EQUIRECTANGULAR)
-    query = query.with_fov(228.0).about(2.0)
+    rays = swept(hills, 200.0, raised_deg, 230.0, Projection.EQUIRECTANGULAR)
+    rays = rays.with_fov(228.0).about(2.0)
     start = poses(grid_heading_deg=203.0, pitch_deg=0.8 * raised_deg, fov_deg=228.0)
-    found = settled(start, panorama_of(hills), query)
+    found = settled(start, panorama_of(hills), rays)
     assert found.grid_heading_deg[0] == pytest.approx(200.0, abs=0.02)
     assert found.pitch_deg[0] == pytest.approx(raised_deg, abs=0.1)
     assert found.fov_deg[0] == pytest.approx(230.0, abs=0.05)
@@ -122,12 +122,12 @@ def test_a_range_past_the_edge_speaks_less_against_the_right_place():
 
     shown = np.radians(np.arange(320.0, 380.0))
     assert 0.3 < np.mean(with_range(shown) > hills(shown)) < 0.6
-    query = rays_of(*seen(with_range, **TRUTH), 60.0)
+    rays = rays_of(*seen(with_range, **TRUTH), 60.0)
     places = [panorama_of(hills), panorama_of(lambda azimuth: hills(azimuth + 0.4))]
     start = poses(grid_heading_deg=350.0)
 
     def scores(edge):
-        return [settled(start, place, query, edge).cost[0] for place in places]
+        return [settled(start, place, rays, edge).cost[0] for place in places]
 
     assert scores(_edge(-1.0)) == scores(None)
     (right, wrong), (right_without, wrong_without) = scores(_edge(0.17)), scores(None)
@@ -137,8 +137,8 @@ def test_a_range_past_the_edge_speaks_less_against_the_right_place():
 
 @pytest.mark.parametrize(("low", "high", "expected"), [(63.0, 70.0, 63.0), (50.0, 57.0, 57.0)])
 def test_the_field_of_view_keeps_to_its_range(low, high, expected):
-    query = rays_of(*seen(hills, **TRUTH), 60.0, (low + high) / 2.0, (low, high))
-    found = settled(poses(grid_heading_deg=350.0, fov_deg=1.0), panorama_of(hills), query)
+    rays = rays_of(*seen(hills, **TRUTH), 60.0, (low + high) / 2.0, (low, high))
+    found = settled(poses(grid_heading_deg=350.0, fov_deg=1.0), panorama_of(hills), rays)
     assert found.fov_deg[0] == pytest.approx(expected, abs=1e-6)
 
 
@@ -152,19 +152,19 @@ def test_noise_makes_no_lens_narrower(relief, noise):
     found = []
     for seed in range(6):
         noisy = v + np.random.default_rng(seed).normal(0.0, noise, len(v))
-        query = replace(rays_of(u, noisy, 60.0, 60.0, (30.0, 90.0)), fov_sd_deg=3.0)
+        rays = replace(rays_of(u, noisy, 60.0, 60.0, (30.0, 90.0)), fov_sd_deg=3.0)
         start = poses(grid_heading_deg=350.0, fov_deg=60.0)
-        found.append(float(settled(start, panorama_of(skyline), query).fov_deg[0]))
+        found.append(float(settled(start, panorama_of(skyline), rays).fov_deg[0]))
     assert np.mean(found) == pytest.approx(60.0, abs=0.02 + 3.0 * np.std(found) / np.sqrt(6.0))
 
 
 @pytest.mark.parametrize("sd_deg", [0.2, 50.0])
 def test_a_field_of_view_is_drawn_to_the_one_given_as_far_as_that_is_sure(sd_deg):
     level_hills = panorama_of(lambda a: 0.3 * hills(a))
-    query = rays_of(*seen(lambda a: 0.3 * hills(a), **TRUTH), 60.0, 62.0, (50.0, 74.0))
+    rays = rays_of(*seen(lambda a: 0.3 * hills(a), **TRUTH), 60.0, 62.0, (50.0, 74.0))
     start = poses(grid_heading_deg=350.0, fov_deg=62.0)
-    found = settled(start, level_hills, query)
-    drawn = settled(start, level_hills, replace(query, fov_sd_deg=sd_deg))
+    found = settled(start, level_hills, rays)
+    drawn = settled(start, level_hills, replace(rays, fov_sd_deg=sd_deg))
     assert found.fov_deg[0] == pytest.approx(60.0, abs=0.1)
     if sd_deg > 10.0:
         assert drawn.fov_deg[0] == pytest.approx(found.fov_deg[0], abs=1e-3)
@@ -186,16 +186,16 @@ def test_the_right_skyline_costs_least_and_order_does_not_matter():
 @pytest.mark.parametrize("columns", [2, 15])
 def test_too_few_columns_have_no_fit(columns):
     few = np.linspace(0, len(LENS.u) - 1, columns).astype(int)
-    query = replace(LENS, u=LENS.u[few], v=LENS.v[few], weight=LENS.weight[few])
-    found = settled(poses(grid_heading_deg=350.0), panorama_of(hills), query)
+    rays = replace(LENS, u=LENS.u[few], v=LENS.v[few], weight=LENS.weight[few])
+    found = settled(poses(grid_heading_deg=350.0), panorama_of(hills), rays)
     assert found.cost[0] == np.inf
     assert np.isfinite(found.grid_heading_deg[0])
 
 
 @pytest.mark.parametrize("height", [0.0, 0.1])
 def test_a_level_skyline_keeps_its_heading(height):
-    query = rays_of(*seen(lambda a: height + 0.0 * a, 40.0), 60.0, None, (50.0, 70.0))
-    found = settled(poses(grid_heading_deg=43.0), panorama_of(lambda a: height + 0.0 * a), query)
+    rays = rays_of(*seen(lambda a: height + 0.0 * a, 40.0), 60.0, None, (50.0, 70.0))
+    found = settled(poses(grid_heading_deg=43.0), panorama_of(lambda a: height + 0.0 * a), rays)
     assert np.isfinite(found.cost[0])
     assert found.grid_heading_deg[0] == pytest.approx(43.0, abs=0.5)
     assert found.pitch_deg[0] == pytest.approx(0.0, abs=0.3)

@@ -14,22 +14,21 @@ from zlib import crc32
 import h5py
 import numpy as np
 import pytest
-from scenes import write_dem
 from store_rows import (
     HEADERS,
     PLACES_HEADER,
     VIEWS_HEADER,
-    WIDTH,
     assert_holds,
     chunk_of,
-    edited,
+    damaged_rows,
     flip,
+    hollow_store,
     numbered_places,
+    older_store,
     write_rows,
 )
 
 from skyline.errors import InputError, MissingFileError, StoreError, StoreMismatchError
-from skyline.geodesy.map_frame import Frame
 from skyline.store.check import check_store, examine
 from skyline.store.layout import columns_of, refuse_mismatch
 from skyline.store.merge import merge_stores, repair_store
@@ -40,19 +39,6 @@ from skyline.store.write import write_store
 STORE_PAGE = Path(__file__).parents[2] / "docs" / "store.md"
 KINDS = pytest.mark.parametrize("header", HEADERS.values(), ids=HEADERS)
 CHUNK = 1024
-
-
-def assert_refused(path, expected):
-    """Opening is refused in one line, and the file is left as it is."""
-    before = path.read_bytes()
-    with pytest.raises(StoreError, match=expected) as caught:
-        open_store(path)
-    assert one_line(caught.value, path)
-    assert path.read_bytes() == before
-
-
-def one_line(error, path):
-    return "\n" not in str(error) and str(path) in str(error)
 
 
 class TestRows:
@@ -124,17 +110,18 @@ class TestHeader:
                     assert (data.compression, data.shuffle) == (None, False)
 
     @pytest.mark.parametrize(
-        ("change", "said"),
+        "change",
         [
-            ({"dem_digest": "b2" * 32}, r"a1a1\)' in a.h5.*b2b2\)' in b.h5.*one DEM of both areas"),
-            ({"config": {"planner": "rov"}}, "planner is 'uniform' in.*'rov' in b.h5"),
-            ({"holds": "places", "width": 0}, "'renderings' in a.h5.*'places' in b.h5"),
+            {"dem_digest": "b2" * 32},
+            {"config": {"planner": "rov"}},
+            {"config": VIEWS_HEADER.config | {"tolerance_px": 0.05}},
+            {"holds": "places", "width": 0},
         ],
     )
-    def test_of_another_build_is_refused(self, tmp_path, change, said):
+    def test_of_another_build_is_refused(self, tmp_path, change):
         a = write_rows(tmp_path / "a.h5", 0, 3)
         b = write_rows(tmp_path / "b.h5", 3, 6, replace(VIEWS_HEADER, **change))
-        with pytest.raises(StoreMismatchError, match=said):
+        with pytest.raises(StoreMismatchError):
             merge_stores([a, b], tmp_path / "out.h5")
         assert {file.name for file in tmp_path.iterdir()} == {"a.h5", "b.h5"}
 
@@ -158,19 +145,26 @@ class TestHeader:
             assert store.header.config["tolerance_px"] == 0.05
             assert_holds(store, np.arange(3))
 
+    def test_of_less_exact_skylines_is_not_extended_by_settings_that_are_no_more(self):
+        before = replace(PLACES_HEADER, config={**PLACES_HEADER.config, "tolerance_deg": 0.01})
+        with pytest.raises(StoreMismatchError) as refused:
+            refuse_mismatch(before, PLACES_HEADER, "these", "repeat its settings")
+        said = str(refused.value)
+        assert "tolerance_deg is 0.01 there, 'absent' here" in said
+        assert said.endswith(
+            "build a new store of that area (the old one is still read and searched)"
+        )
+        assert "repeat its settings" not in said
+
     def test_of_less_exact_skylines_is_joined_to_no_exact_one(self, tmp_path):
         header = replace(VIEWS_HEADER, config={**VIEWS_HEADER.config, "tolerance_px": 0.05})
         a = write_rows(tmp_path / "a.h5", 0, 3, header)
         b = write_rows(tmp_path / "b.h5", 3, 6)
-        said = "tolerance_px is 0.05 in a.h5, 'absent' in b.h5; build both with the same settings"
+        said = (
+            "tolerance_px is 0.05 in a.h5, 'absent' in b.h5; skylines are no longer rendered with"
+        )
         with pytest.raises(StoreMismatchError, match=said):
             merge_stores([a, b], tmp_path / "out.h5")
-
-    def test_a_dem_in_another_frame_is_named(self, tmp_path):
-        header = replace(PLACES_HEADER, frame_wkt=Frame.from_crs("EPSG:3857").wkt)
-        dem = write_dem(tmp_path / "dem.tif", np.ones((4, 4), np.float32))
-        with pytest.raises(StoreMismatchError, match=r"read in the frame EPSG:32632, .*EPSG:3857"):
-            header.read_dem(dem)
 
 
 class TestMap:
@@ -196,9 +190,8 @@ class TestMap:
         next(blocks)
         os.truncate(path, path.stat().st_size // 2)
         for read in (lambda: next(blocks), lambda: mapped.take(np.array([2999]))):
-            with pytest.raises(StoreError, match="is truncated") as caught:
+            with pytest.raises(StoreError):
                 read()
-            assert one_line(caught.value, path)
 
 
 class TestWriting:
@@ -243,8 +236,9 @@ class TestWriting:
         assert check_store(path).rows == 5
 
     def test_into_no_folder(self, tmp_path):
-        with pytest.raises(MissingFileError, match="make it first"):
+        with pytest.raises(MissingFileError):
             write_rows(tmp_path / "no" / "s.h5", 0, 3)
+        assert not list(tmp_path.iterdir())
 
 
 class TestDamage:
@@ -253,32 +247,36 @@ class TestDamage:
         whole = write_rows(tmp_path / "whole.h5", 0, 2500, header).read_bytes()
         size = header.chunk_rows(2500)
         kept = np.r_[0:size, 2 * size : 2500]
+        path = tmp_path / "s.h5"
         for name in header.specs:
-            path = tmp_path / "s.h5"
             path.write_bytes(whole)
             flip(path, chunk_of(path, name, 1) + 12)
             (damage,) = examine(path).damage
             assert (damage.first_row, damage.rows) == (size, size)
-            with pytest.raises(StoreError, match="repair` saves"):
-                merge_stores([path], tmp_path / "no.h5")
             saved = tmp_path / f"{name.replace('/', '-')}.h5"
             report = repair_store(path, saved)
             assert (report.rows, report.holds, len(report.damage)) == (len(kept), header.holds, 1)
             with open_store(saved) as store:
                 assert_holds(store, kept)
-        if header.holds == "places":
-            with open_store(path) as store:
-                mapped = store.places()
-            with pytest.raises(StoreError, match="skyline store check"):
-                mapped.take(np.arange(2500))
-            assert len(mapped.take(kept)) == len(kept)
-            with pytest.raises(InputError, match="not a list of numbers"):
-                mapped.take(np.ones(2500, dtype=bool))
+
+    @KINDS
+    def test_is_merged_into_no_store(self, tmp_path, header):
+        path = damaged_rows(tmp_path / "s.h5", header)
+        with pytest.raises(StoreError):
+            merge_stores([path], tmp_path / "no.h5")
+        assert not (tmp_path / "no.h5").exists()
+
+    def test_of_places_lets_the_others_be_read(self, tmp_path):
+        with open_store(damaged_rows(tmp_path / "s.h5", PLACES_HEADER)) as store:
+            mapped = store.places()
+        with pytest.raises(StoreError):
+            mapped.take(np.arange(2500))
+        assert len(mapped.take(np.r_[0:CHUNK, 2 * CHUNK : 2500])) == 2500 - CHUNK
 
     def test_a_store_without_a_whole_row_is_not_saved(self, tmp_path):
         path = write_rows(tmp_path / "s.h5", 0, 3)
         flip(path, chunk_of(path, "views/heading", 0))
-        with pytest.raises(StoreError, match="none of the 3 rows"):
+        with pytest.raises(StoreError):
             repair_store(path, tmp_path / "saved.h5")
         assert not (tmp_path / "saved.h5").exists()
 
@@ -325,107 +323,44 @@ class TestDamage:
             path.write_bytes(whole[:size])
             with pytest.raises(StoreError) as caught:
                 open_store(path)
-            assert one_line(caught.value, path), size
+            assert "\n" not in str(caught.value), size
+            assert str(path) in str(caught.value), size
 
-    @pytest.mark.parametrize(
-        ("code", "expected"),
-        [
-            ("import os; os.abort()", r"HDF5 crashes on it \(signal 6\)"),
-            ("while True: pass", "HDF5 had not read it after 1 s of processor time"),
-        ],
-    )
-    def test_of_hdf5_itself_ends_the_process_that_checks(self, tmp_path, code, expected):
+    @pytest.mark.parametrize("code", ["import os; os.abort()", "while True: pass"])
+    def test_of_hdf5_itself_ends_the_process_that_checks(self, tmp_path, code):
         """Forged structures can make HDF5 crash or loop."""
         path = write_rows(tmp_path / "s.h5", 0, 3)
         report = check_store(path, limit_s=1.0, examiner=[sys.executable, "-c", code])
-        assert re.search(expected, report.damage[0].what)
+        assert not report.whole
 
     def test_is_not_found_in_a_whole_store(self, tmp_path):
         report = check_store(write_rows(tmp_path / "s.h5", 0, 3))
         assert (report.rows, report.whole) == (3, True)
 
 
-def set_attribute(name, value):
-    return lambda file: file.attrs.__setitem__(name, value)
-
-
-def replace_data(name, **layout):
-    """Return an edit that puts a dataset of another layout in the place of one."""
-
-    def edit(file):
-        shape = file[name].shape
-        del file[name]
-        file.create_dataset(name, **{"shape": shape, **layout})
-
-    return edit
-
-
-def link(name, target):
-    """Return an edit that moves a part of the file and leaves a link in its place."""
-
-    def edit(file):
-        file.move(name, "moved")
-        file[name] = target
-
-    return edit
-
-
-RAW = [("raw.bin", 0, 64)]
-FORGED = [
-    (set_attribute("schema", "skyline-store"), "'schema' that is not text"),  # of variable length
-    (set_attribute("schema_version", 5), "schema version 5; .* upgrade skyline"),
-    (set_attribute("config", np.bytes_("[" * 100_000)), "does not have the digest"),
-    (set_attribute("renderer", np.bytes_("mine")), "does not have the digest"),
-    (set_attribute("rows", np.bytes_('{"rows": "delta"}')), "does not have the digest"),
-    (lambda file: file.attrs.__delitem__("schema"), "not a skyline store"),
-    (lambda file: file.move("views", "moved"), "lacks views"),
-    (link("views", h5py.SoftLink("/moved")), "is a link to another place"),
-    (replace_data("views/easting", dtype="f8", external=RAW), "has chunks None"),
-    (replace_data("views/depth_m", dtype="f8"), "dtype float64; expected"),
-    (replace_data("views/depth_m", dtype="f4", chunks=(3, WIDTH)), "has fletcher32 False"),
-    (replace_data("views/easting", **VIEWS_HEADER.layout("views/easting", 4)), "have 3 to 4 rows"),
-]
-
-
 class TestForeign:
-    def test_files_are_refused(self, tmp_path):
+    def test_files_are_no_stores(self, tmp_path):
         path = tmp_path / "s.h5"
-        with pytest.raises(MissingFileError, match="does not exist"):
-            open_store(path)
         path.write_text("easting,northing\n")
-        assert_refused(path, "not an HDF5 file")
-        with pytest.raises(StoreError, match="cannot be read: Is a directory"):
-            open_store(tmp_path)
+        with pytest.raises(StoreError):
+            open_store(path)
         with h5py.File(path, "w") as file:
             file["data"] = np.arange(10)
-        assert_refused(path, "not a skyline store")
+        with pytest.raises(StoreError):
+            open_store(path)
         assert not is_store(path)
 
-    def test_older_stores_are_to_be_built_again(self, tmp_path):
-        path = tmp_path / "s.h5"
-        with h5py.File(path, "w", libver=("v110", "v110")) as file:
-            file.attrs["schema"] = "skyline-store"
-            file.attrs["schema_version"] = 3
-            file.attrs["frame"] = "a text of a variable length"
-            file.create_dataset("committed", data=np.uint64(0))
-        assert_refused(path, "schema version 3.* reads version 4: build the store again")
+    def test_older_stores_are_stores_that_are_refused(self, tmp_path):
+        path = older_store(tmp_path / "s.h5")
+        with pytest.raises(StoreError):
+            open_store(path)
         assert is_store(path)
 
-    @pytest.mark.parametrize(("edit", "expected"), FORGED)
-    def test_forged_stores_are_refused(self, tmp_path, edit, expected):
-        path = write_rows(tmp_path / "s.h5", 0, 3)
-        write_rows(tmp_path / "other.h5", 0, 3)
-        with edited(path) as file:
-            edit(file)
-        assert_refused(path, expected)
-
-    def test_rows_that_are_promised_but_not_there(self, tmp_path):
-        path = write_rows(tmp_path / "places.h5", 0, 3000, PLACES_HEADER)
-        with edited(path) as file:
-            values = file["places/phase"][:]
-            replace_data("places/phase", **PLACES_HEADER.layout("places/phase", 3000))(file)
-            file["places/phase"][:10], file["places/phase"][2500:] = values[:10], values[2500:]
-        with open_store(path) as store, pytest.raises(StoreError, match="holds no row 1024"):
+    def test_rows_that_are_promised_but_not_there_are_refused(self, tmp_path):
+        with (
+            open_store(hollow_store(tmp_path / "s.h5")) as store,
+            pytest.raises(StoreError),
+        ):
             store.places()
 
 
@@ -472,11 +407,11 @@ class TestMerge:
         a = write_rows(tmp_path / "a.h5", 0, 3)
         before = a.read_bytes()
         for copy in (lambda out: merge_stores([a], out), lambda out: repair_store(a, out)):
-            with pytest.raises(StoreError, match="exists already"):
+            with pytest.raises(StoreError):
                 copy(a)
-            with pytest.raises(MissingFileError, match="make it first"):
+            with pytest.raises(MissingFileError):
                 copy(tmp_path / "no" / "b.h5")
-        with pytest.raises(InputError, match="no stores"):
+        with pytest.raises(InputError):
             merge_stores([], tmp_path / "b.h5")
         assert a.read_bytes() == before
         assert [file.name for file in tmp_path.iterdir()] == ["a.h5"]
@@ -488,30 +423,19 @@ class TestMerge:
             raise OSError(28, "No space left on device")
 
         monkeypatch.setattr(os, "posix_fallocate", full)
-        with pytest.raises(StoreError, match="No space left on device"):
+        with pytest.raises(StoreError):
             merge_stores([a], tmp_path / "b.h5")
         assert [file.name for file in tmp_path.iterdir()] == ["a.h5"]
 
 
-@KINDS
-def test_an_unfinished_build_is_reported(tmp_path, header):
+def test_an_unfinished_build_is_a_store_that_is_not_there_yet(tmp_path):
     path = tmp_path / "s.h5"
-    folder, other = (parts_folder(path) / build for build in ("0123", "4567"))
-    folder.mkdir(parents=True)
-    other.mkdir()
+    (parts_folder(path) / "0123").mkdir(parents=True)
     for read in (open_store, check_store):
-        with pytest.raises(MissingFileError, match="no part of it is there yet"):
+        with pytest.raises(MissingFileError):
             read(path)
-    write_rows(folder / f"{header.holds}-00001-00004-of-00037.h5", 0, 3, header)
-    with pytest.raises(MissingFileError, match="a part is there"):
-        open_store(path)
-    write_rows(folder / f"{header.holds}-00005-from-3-of-00037.h5", 0, 3, header)
-    command = "skyline build" if header.holds == "places" else "skyline render"
+    write_rows(parts_folder(path) / "0123" / "places-00001-00004-of-00037.h5", 0, 3, PLACES_HEADER)
     for read in (open_store, check_store):
-        with pytest.raises(MissingFileError, match=rf"2 parts are there\).* `{command}`") as caught:
+        with pytest.raises(MissingFileError):
             read(path)
-        assert one_line(caught.value, path)
-    write_rows(other / f"{header.holds}-00001-00001-of-00005.h5", 0, 3, header)
-    with pytest.raises(MissingFileError, match="3 parts are there"):
-        open_store(path)
     assert is_store(path)

@@ -12,7 +12,6 @@ import pytest
 from commands import csv_of
 from scenes import field_of
 
-from skyline.errors import InputError
 from skyline.files import write_whole
 from skyline.tables import csv_lines, is_table, read_table
 from skyline.terrain.viewpoints import read_viewpoints
@@ -56,22 +55,6 @@ def test_points_beside_decimal_commas_part_thousands(tmp_path, row, elevation_m)
     path.write_text(f"id;lon;elevation\n{row}\n")
     (row,) = read_table(path, "").rows
     assert (row.number("lon"), row.number("elevation")) == (9.85, elevation_m)
-
-
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("lon,lat\n9.85\n", "line 2: lat is ``; expected a number from -90 to 90"),
-        ("lon,lat\n9.85,nan\n", "lat is `nan`"),
-        ("# note\nlon,lat\n\n9,85,46,75\n", "line 4 has 4 cells; expected 2 for `lon,lat`"),
-        ("lon,longitude\n", "has the column `lon` twice"),
-        ("", "is empty; expected places"),
-        (b"lon,lat\n\0", "cannot be read as CSV"),
-    ],
-)
-def test_what_is_wrong_is_named_with_its_line(tmp_path, text, said):
-    with pytest.raises(InputError, match=said):
-        places(tmp_path / "a.csv", text)
 
 
 def test_standard_input_is_read_and_its_kind_is_seen(monkeypatch):

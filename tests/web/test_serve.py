@@ -157,9 +157,9 @@ NARROWED = Narrowing(
 
 def masked(photo, path):
     """Write the sky of a photo as a mask with a white border."""
-    query = read_skyline(photo, 60.0)
-    row = np.where(query.trusted, query.row_px, -1.0)
-    sky = np.where(np.arange(query.height_px)[:, np.newaxis] < row, 255, 0).astype(np.uint8)
+    skyline = read_skyline(photo, 60.0)
+    row = np.where(skyline.trusted, skyline.row_px, -1.0)
+    sky = np.where(np.arange(skyline.height_px)[:, np.newaxis] < row, 255, 0).astype(np.uint8)
     sky[:, :60] = 255
     Image.fromarray(sky).save(path)
     return path

@@ -1,1 +1,1 @@
-"""The figures of README and docs/: tables and sentences that are written from the records."""
+"""The tables and sentences of README and docs/, written from records."""

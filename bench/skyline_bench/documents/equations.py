@@ -22,7 +22,7 @@ _MATH = re.compile(r"^( *)\.\. math::((?:.*\n)(?:\1 +\S.*\n|\s*\n)*)", re.MULTIL
 
 
 def with_equations(text: str, page: str) -> str:
-    """Return the text of a page with the present equations of the code.
+    """Return a page's text with the code's present equations.
 
     Raises `InputError` where a module has no such equation.
     """
@@ -41,6 +41,6 @@ def with_equations(text: str, page: str) -> str:
 
 
 def _equations_of(module: str) -> list[str]:
-    """Return the blocks of mathematics in a module's docstring, each in one line."""
+    """Return the equations in a module's docstring, each in one line."""
     text = inspect.getdoc(import_module(module)) or ""
     return [" ".join(block.split()) for _, block in _MATH.findall(f"{text}\n")]

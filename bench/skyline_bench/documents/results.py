@@ -18,7 +18,10 @@ Table = list[dict[str, str]]
 
 @dataclass(frozen=True, slots=True)
 class Results:
-    """The records in a folder, by the names of their files without ``.json``."""
+    """The records in a folder.
+
+    A record has the name of its file without ``.json``.
+    """
 
     folder: Path
     _read: dict[str, list[Row]] = field(default_factory=dict)
@@ -41,7 +44,10 @@ class Results:
         return found
 
     def row(self, name: str, **about: object) -> Row:
-        """Return the one row of a record that has these values; raises as `rows`."""
+        """Return the one row of a record that has these values.
+
+        Raises as `rows`.
+        """
         found = self.rows(name, **about)
         if len(found) > 1:
             raise InputError(
@@ -51,12 +57,18 @@ class Results:
 
 
 def linked(words: str, record: str) -> str:
-    """Return words that link to a record, from the root of the repository."""
+    """Return words with a link to a record.
+
+    The link is from the root of the repository.
+    """
     return f"[{words}](bench/results/{record}.json)"
 
 
 def percent(share: float | None) -> str:
-    """Return a share in percent; ``all`` and ``0`` are the whole and nothing, exactly."""
+    """Return a share in percent, as text.
+
+    ``all`` and ``0`` are exactly the whole and nothing.
+    """
     if share is None:
         return ""
     if share in (0.0, 1.0):
@@ -99,6 +111,9 @@ def answered_right(rows: Sequence[Row]) -> tuple[int, int]:
 
 
 def median_of(rows: Sequence[Row], key: str) -> float:
-    """Return the median of a column; a value that is missing counts as infinite."""
+    """Return the median of a column.
+
+    A missing value counts as infinite.
+    """
     values: list[Any] = [math.inf if row.get(key) is None else row[key] for row in rows]
     return float(np.median(values))

@@ -1,4 +1,7 @@
-"""The sentences of README and docs/ with figures from the records, by page."""
+"""The sentences of README and docs/ that have figures from records.
+
+They are listed by page.
+"""
 
 from collections.abc import Mapping, Sequence
 
@@ -70,7 +73,10 @@ def _elsewhere(results: Results) -> list[str]:
 
 
 def _gains(results: Results) -> list[str]:
-    """Return the errors of the paper's plans over those of uniform grids, and how many gain."""
+    """Return what the paper's plans gain over uniform grids.
+
+    These are ratios of errors, plan over grid, and the numbers of plans that gain.
+    """
     records = [record for _, planner, record in COMPARED if planner != "ours"]
     gains = {
         group: {
@@ -134,7 +140,10 @@ def _large_store(results: Results) -> list[str]:
 
 
 def _default_stores(results: Results) -> list[str]:
-    """Return the range of the processor times of stores as planned by default, and their MB."""
+    """Return the cost of stores that are planned by default.
+
+    These are the least and the greatest processor time, and the greatest size in MB.
+    """
     placed = [
         results.row(f"placing_{one}", store=_DEFAULT, group=ALL) for one in ("davos", "owens")
     ]

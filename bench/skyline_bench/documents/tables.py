@@ -35,7 +35,10 @@ _GRASS = "grass", "r.horizon"
 
 
 def speed(results: Results) -> Table:
-    """Return the ways to a skyline; errors are in degrees, at the middle of a view."""
+    """Return a table of the ways to a skyline.
+
+    Errors are in degrees, at the middle of a view.
+    """
     ways = {
         FOUR_VIEWS: "**Skyline**, four views of 640 columns",
         _ALL_ROUND: "**Skyline**, all the way round, 720 azimuths",
@@ -59,7 +62,10 @@ def speed(results: Results) -> Table:
 
 
 def skylines(results: Results) -> Table:
-    """Return the ways to a skyline in more detail, with errors in px."""
+    """Return a detailed table of the ways to a skyline.
+
+    Errors are in px.
+    """
     ways = {
         FOUR_VIEWS: "**horizon rasterizer, four views**",
         _ALL_ROUND: "**horizon rasterizer, all round, 720 azimuths**",
@@ -86,13 +92,16 @@ def skylines(results: Results) -> Table:
 
 
 def _measured(results: Results, ways: Mapping[tuple[str, str], str]) -> Iterator[tuple[str, Row]]:
-    """Yield the words and the row of each way; a peer that is not installed has none."""
+    """Yield the words and the row of each way.
+
+    A peer that was not installed has no row and is left out.
+    """
     found = {(row["path"], row["setting"]): row for row in results.rows("speed_error")}
     return ((words, found[key]) for key, words in ways.items() if key in found)
 
 
 def way_of(results: Results, key: tuple[str, str]) -> Row:
-    """Return the row of a path and a setting in the record of speed."""
+    """Return the row of a path and a setting in `speed_error`."""
     return results.row("speed_error", path=key[0], setting=key[1])
 
 
@@ -101,7 +110,10 @@ def _ms(time_ms: float) -> str:
 
 
 def _degrees(error_px: float) -> float:
-    """Return an error in px of W = 640 as an angle at the middle of a view."""
+    """Return an error in px as an angle at a view's middle.
+
+    The view has 640 columns.
+    """
     return float(np.degrees(np.arctan(error_px / 320.0)))
 
 
@@ -195,7 +207,10 @@ def predictors(results: Results) -> Table:
 
 
 def figure_7(results: Results) -> Table:
-    """Return the mean errors of the paper's matcher in each store, by thirds of the queries."""
+    """Return the mean errors of the paper's matcher in each store.
+
+    They are given by thirds of the queries.
+    """
     table = Table()
     for terrain, planner, record in COMPARED:
         if planner == "ours":
@@ -254,7 +269,10 @@ def how_often(results: Results) -> Table:
 
 
 def places(results: Results) -> Table:
-    """Return how often queries of each kind are found in a store of Davos, by distance."""
+    """Return how often queries are found in a store of Davos.
+
+    The shares are given by kind and by the distance of the skyline.
+    """
     kinds = {
         "plain": ("**plain**", (ALL, *reversed(CLASSES))),
         "occluded": ("30 % hidden", (ALL, "> 400 m")),
@@ -283,12 +301,18 @@ def places(results: Results) -> Table:
 
 
 def other_terrain(results: Results) -> Table:
-    """Return how often plain queries are found on Rofental and Owens Valley, by distance."""
+    """Return how often queries are found on Rofental and Owens Valley.
+
+    The queries are plain ones; the shares are given by the distance of the skyline.
+    """
     return _by_distance(results, "matching_rofental", "matching_owens")
 
 
 def large_area(results: Results) -> Table:
-    """Return how often plain queries are found in all of California, by distance."""
+    """Return how often queries are found in all of California.
+
+    The queries are plain ones; the shares are given by the distance of the skyline.
+    """
     return _by_distance(results, "matching_california")
 
 
@@ -367,7 +391,7 @@ def _share(row: Row) -> str:
 
 
 def same_place(results: Results) -> Table:
-    """Return how photos of one place are found, one by one and together."""
+    """Return how photos of one place are found, alone and together."""
     kinds = {"alone": "one by one", "together": "together", "with a stranger": "with a stranger"}
     table = Table()
     for kind, words in kinds.items():
@@ -476,7 +500,10 @@ def made_photos(results: Results) -> Table:
 
 
 def names_and_pixels(results: Results) -> Table:
-    """Return how summits that photos show are named, and how far places of pixels are off."""
+    """Return how well summits are named and pixels are placed.
+
+    The summits and the pixels are in made photos.
+    """
     table = Table()
     for labels in results.rows("orient_davos", measured="labels"):
         about = {key: labels[key] for key in ("pose", "model")}
@@ -497,7 +524,10 @@ def names_and_pixels(results: Results) -> Table:
 
 
 def confidence(results: Results) -> Table:
-    """Return how far the confidence holds on Davos, and where each terrain is left out."""
+    """Return how far the confidence holds.
+
+    It is tested on Davos, and on each terrain that is left out of learning.
+    """
     table = Table()
     for within, words in (("200 m", "200 m"), ("1000 m", "1 km")):
         model = f"refined, {within}"
@@ -557,7 +587,10 @@ DEMS = {
 
 
 def summits(results: Results) -> Table:
-    """Return how the surface of each DEM in degrees keeps the summits of the file."""
+    """Return how well surfaces keep the summits of their files.
+
+    The files are DEMs in degrees.
+    """
     table = Table()
     for name, words in DEMS.items():
         rows = results.rows(f"summits_{name}")
@@ -581,7 +614,7 @@ def summits(results: Results) -> Table:
 
 
 def on_a_summit(results: Results) -> Table:
-    """Return how horizons from beside summits agree with those of the summits."""
+    """Return how horizons beside summits agree with horizons on summits."""
     ways = {
         "slope": "on the slope",
         "summit_height": "as high as the summit",

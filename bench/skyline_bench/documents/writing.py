@@ -25,7 +25,7 @@ class Sentence:
     figures: Callable[[Results], Sequence[str]]
 
     def written(self, text: str, results: Results, page: str) -> str:
-        """Return the text of a page with the figures of the records in this sentence.
+        """Return a page's text with the records' figures in this sentence.
 
         Raises `InputError` unless the page has the sentence once, whatever its figures are.
         """
@@ -52,11 +52,12 @@ class Sentence:
 def written(
     text: str, page: str, results: Results, sentences: Mapping[str, Sequence[Sentence]]
 ) -> str:
-    """Return the text of a page with the figures of the records, and numbers and equations of code.
+    """Return a page's text with its figures and equations written anew.
 
-    ``page`` is its path from the root of the repository. Raises `InputError` for an unknown table,
-    a sentence that is not there, and a constant or an equation that the code does not have, and
-    `MissingFileError` for a record that is not there.
+    Figures come from the records, and constants and equations from the code. ``page`` is its path
+    from the root of the repository. Raises `InputError` for an unknown table, a sentence that is
+    not there, and a constant or an equation that the code does not have, and `MissingFileError` for
+    a record that is not there.
     """
     up = "../" * page.count("/")
 

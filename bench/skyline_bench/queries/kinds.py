@@ -1,6 +1,7 @@
-"""Kinds of synthetic queries, by the camera's view, its errors and its elevation model.
+"""Kinds of synthetic queries.
 
-A query is one photo, or several photos of one place that are matched together.
+They differ in the camera's view, its errors and its elevation model. A query is one photo, or
+several photos of one place that are matched together.
 """
 
 import itertools
@@ -73,7 +74,10 @@ def make_kind(
     seed: int,
     strange: HeightField | None = None,
 ) -> list[Query]:
-    """Make queries of a kind at so many places of an area; strangers are of strange terrain."""
+    """Make queries of a kind at random places of an area.
+
+    Strangers are made of strange terrain.
+    """
     config = KINDS[name]
     if name in SAME_PLACE:
         # One place more, for the stranger of the last.
@@ -98,7 +102,7 @@ def make_kind(
 
 
 def distance_m(query: Query) -> float:
-    """Return the mean over the photos of the distances of their skylines; 0 without any.
+    """Return the mean distance of the photos' skylines; 0 without any.
 
     What fills an image without a skyline stands right before it.
     """
@@ -106,7 +110,10 @@ def distance_m(query: Query) -> float:
 
 
 def perturbed(terrain: HeightField, height_rms_m: float = 10.0, seed: int = 0) -> HeightField:
-    """Add smooth random errors to the heights, of a root mean square over the whole field."""
+    """Add smooth random errors to the heights.
+
+    The errors have the given root mean square over the whole field.
+    """
     noise = np.random.default_rng(seed).standard_normal(terrain.heights_m.shape)
     # White noise under a Gaussian of deviation s has the correlation exp(-d^2 / (4 s^2)).
     deviation_m = _CORRELATION_M / 2.0
@@ -121,10 +128,10 @@ def perturbed(terrain: HeightField, height_rms_m: float = 10.0, seed: int = 0) -
 def resampled(
     terrain: HeightField, spacing_m: float, phase: tuple[float, float] = (0.5, 0.5)
 ) -> HeightField:
-    """Sample the surface on another grid of the same frame, of one spacing east and north.
+    """Sample the surface on another grid of the same frame.
 
-    ``phase`` shifts the new grid's north-western sample east and south of the old one's, in new
-    spacings, 0 to below 1.
+    The new grid has one spacing east and north. ``phase`` shifts the new grid's north-western
+    sample east and south of the old one's, in new spacings, 0 to below 1.
     """
     west, south, east, north = terrain.bounds_m
     new_west = west + phase[0] * spacing_m

@@ -1,4 +1,4 @@
-"""Made photographs: a pin-hole camera's view of the terrain, with a known pose.
+"""Made photographs: pin-hole views of terrain, with known poses.
 
 Demos and benchmarks match them. The terrain is looked up in depth images, shaded by its slope,
 veiled by haze and put under a sky. The file does not contain the pose.
@@ -49,9 +49,10 @@ def ground_rgb(
     scenery: Scenery,
     generator: np.random.Generator,
 ) -> Float64Array:
-    """Return RGB (M, 3) of ground at map coordinates (easting, northing), each (M,).
+    """Return the RGB (M, 3) of ground at map coordinates.
 
-    Distances (M,) are from the camera. The generator draws where meadows and forests are.
+    Coordinates are easting and northing, (M,) each. Distances (M,) are from the camera. The
+    generator draws where meadows and forests are.
     """
     height_m, slope_east, slope_north = _sampled(field, *place_m)
     normal = np.stack([-slope_east, np.ones_like(slope_east), -slope_north], axis=-1)
@@ -72,7 +73,10 @@ def ground_rgb(
 def sky_rgb(
     rays: Float64Array, ridge_row: Float64Array, scenery: Scenery, generator: np.random.Generator
 ) -> Float64Array:
-    """Return a sky (H, W, 3) along rays (H, W, 3), with clouds about the ridge's rows (W,)."""
+    """Return a sky (H, W, 3) along rays (H, W, 3).
+
+    Clouds lie about the ridge's rows (W,).
+    """
     height, width = rays.shape[:2]
     up = rays[..., 1] / np.hypot(rays[..., 0], rays[..., 2])
     sky = mixed(_HAZE_RGB * 1.04, _ZENITH_RGB, np.clip(up / 0.6, 0.0, 1.0))
@@ -124,7 +128,10 @@ def _texture(
     distance_m: Float64Array,
     generator: np.random.Generator,
 ) -> Float64Array:
-    """Return patches about 0 (M,), fixed to the ground, the finest of them near by only."""
+    """Return patches (M,) about 0, fixed to the ground.
+
+    The finest patches are near by only.
+    """
     total = np.zeros_like(distance_m)
     count = 128  # Cells of a pattern, which repeats
     for scale_m in (900.0, 160.0, 35.0, 8.0, 2.0):
@@ -180,7 +187,10 @@ def scene_rgb(
     scenery: Scenery,
     generator: np.random.Generator,
 ) -> Float64Array:
-    """Return ground and sky (H, W, 3), mixed by the share of ground in each pixel."""
+    """Return a picture (H, W, 3) of ground and sky.
+
+    They are mixed by the share of ground in each pixel.
+    """
     shown = ground_share > 0.0
     distance = _carried_up(distance)
     ridge_row = np.where(shown.any(axis=0), np.argmax(shown, axis=0), len(shown) - 1)
@@ -197,7 +207,10 @@ def scene_rgb(
 
 
 def _carried_up(distance: Float64Array) -> Float64Array:
-    """Return distances (H, W) with those of the sky taken from the nearest ground below."""
+    """Return distances (H, W) that go on into the sky.
+
+    A pixel of sky has the distance of the nearest ground below it.
+    """
     height, width = distance.shape
     rows = np.arange(height)[:, np.newaxis]
     found = np.where(np.isfinite(distance), rows, height - 1)
@@ -206,14 +219,20 @@ def _carried_up(distance: Float64Array) -> Float64Array:
 
 
 def exposed(picture: Float64Array, generator: np.random.Generator) -> NDArray[np.uint8]:
-    """Return 8 bits (H, W, 3) through a lens that blurs a little and a sensor that is noisy."""
+    """Return a picture (H, W, 3) as a camera takes it, uint8.
+
+    The lens blurs a little, and the sensor is noisy.
+    """
     blurred = ndimage.gaussian_filter(picture, (0.6, 0.6, 0.0))
     noisy = blurred + generator.normal(0.0, 3.0, picture.shape)
     return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
 
 
 def distance_along(depth_m: NDArray[np.float32], rays: Float64Array) -> Float64Array:
-    """Return the distance along each ray, in lengths of that ray; inf for sky."""
+    """Return the distance along each ray; inf for sky.
+
+    It is in lengths of that ray.
+    """
     size = depth_m.shape[-1]
     heading = np.rint(np.degrees(np.arctan2(rays[..., 0], rays[..., 2])) / 90.0).astype(int) % 4
     turns = np.stack([rotation(turn) for turn in HEADINGS])[heading]

@@ -1,4 +1,7 @@
-"""Real photographs to measure with: a CSV file with all that is known of each."""
+"""Manifests of real photographs to measure with.
+
+A manifest is a CSV file with all that is known of each photograph.
+"""
 
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -17,7 +20,7 @@ LOCATE = "locate"
 REFUSE = "refuse"
 """A photograph for which no answer is right."""
 EXTRACT = "extract"
-"""A photograph of which the skyline alone counts."""
+"""A photograph that is measured by its skyline alone."""
 KINDS = (LOCATE, REFUSE, EXTRACT)
 
 
@@ -26,8 +29,8 @@ class Photograph:
     """One line of a manifest; None stands for an unknown value."""
 
     photo: Path  # A photo, or a trace that is matched as if it were one
-    kind: str  # Of `KINDS`
-    # Where it was taken; of one to refuse, where the store is.
+    kind: str  # One of `KINDS`
+    # Where it was taken; for a photograph to refuse, where the store is.
     lon: float | None = None
     lat: float | None = None
     # How the camera truly stood.
@@ -56,13 +59,13 @@ class Photograph:
 
     @property
     def lonlat(self) -> tuple[float, float]:
-        """Where it was taken, of one that is to be located."""
+        """Where a photograph was taken that is to be located."""
         return self.lon or 0.0, self.lat or 0.0
 
     def true_row_px(self, width_px: int, height_px: int) -> Float64Array | None:
-        """Return the true row (W,) in each column of a photo of a size; None if it is not known.
+        """Return the true row (W,) of a photo's skyline in each column.
 
-        The row is NaN in columns without a skyline.
+        None if it is not known. The row is NaN in columns without a skyline.
         """
         if self.trace is not None:
             true = read_trace(self.trace)
@@ -114,7 +117,10 @@ def _photograph(path: Path, row: Row) -> Photograph:
 
 
 def _upper_edge(mask: UInt8Array) -> Float64Array:
-    """Return the border's row (W,) under the colour of most of the top row; NaN where none is."""
+    """Return the row (W,) of the border under the top colour.
+
+    Most of the top row has this colour. NaN where there is no border.
+    """
     light = mask.mean(axis=2) >= 128
     is_sky = light == (light[0].mean() >= 0.5)
     return topmost_border(is_sky.astype(np.float64), 0.5)[0]

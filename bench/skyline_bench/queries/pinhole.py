@@ -1,6 +1,7 @@
-"""A camera held at any heading, pitch and roll, and the skyline on its image.
+"""A camera in any attitude, and the skyline on its image.
 
-It is a pin-hole camera, unless it maps directions to its image as a fisheye or a panorama does.
+The camera is a pin-hole camera, unless it maps directions to its image as a fisheye or a panorama
+does.
 """
 
 from dataclasses import dataclass
@@ -34,7 +35,10 @@ class Camera:
 
     @property
     def focal_px(self) -> float:
-        """Focal length in pixels: the radius in the image of a small angle off the axis."""
+        """Focal length in pixels.
+
+        It is the radius in the image of a small angle off the axis, over that angle.
+        """
         half_rad = np.radians(self.fov_deg) / 2.0
         return self.width_px / 2.0 / float(self._radius(half_rad))
 
@@ -46,7 +50,10 @@ class Camera:
         return float(np.degrees(2.0 * np.arctan(self.width_px / 2.0 / self.focal_px)))
 
     def _radius(self, off_axis_rad: Float64Array | float) -> Float64Array:
-        """Return the radius in an image of unit focal length at an angle off the axis."""
+        """Return the radius at an angle off the axis.
+
+        The image has unit focal length.
+        """
         off_axis: Float64Array = np.asarray(off_axis_rad)
         if self.mapping == PIN_HOLE:
             return np.asarray(np.tan(off_axis))
@@ -57,7 +64,10 @@ class Camera:
         return off_axis
 
     def rays(self) -> Float64Array:
-        """Return (H, W, 3) directions east, up, north of a pin-hole's pixels, optical axis 1."""
+        """Return the directions (H, W, 3) of a pin-hole's pixels.
+
+        They point east, up and north, with a length of 1 along the optical axis.
+        """
         columns = np.arange(self.width_px)
         rows = np.arange(self.height_px)
         u = ((columns - (self.width_px - 1) / 2.0) / self.focal_px)[np.newaxis, :]
@@ -93,7 +103,10 @@ class Camera:
     def project(
         self, azimuth_rad: Float64Array, elevation_tan: Float64Array
     ) -> tuple[Float64Array, Float64Array, NDArray[np.bool_]]:
-        """Return column, row and whether it is drawn, of directions relative to the heading."""
+        """Return column, row and visibility of directions.
+
+        Directions are relative to the heading.
+        """
         if self.mapping == CYLINDER:
             return self._on_cylinder(azimuth_rad, elevation_tan)
         roll, pitch = np.radians([self.roll_deg, self.pitch_deg])
@@ -126,9 +139,10 @@ class Camera:
 def _topmost(
     column: Float64Array, row: Float64Array, drawn: NDArray[np.bool_], width: int
 ) -> tuple[Float64Array, IntArray]:
-    """Return a polyline's topmost row at each whole column (W,), and the segment it is on.
+    """Return a polyline's topmost row (W,) at each whole column.
 
-    A rolled camera sees cliffs lean over, so several segments may cross one column.
+    The second array (W,) is the segment with that row. A rolled camera sees cliffs lean over, so
+    several segments may cross one column.
     """
     usable = drawn[:-1] & drawn[1:]
     left = np.where(usable, np.minimum(column[:-1], column[1:]), 0.0)

@@ -1,4 +1,4 @@
-"""Synthetic queries: the skylines of photos taken at random places, and their true poses.
+"""Synthetic queries: skylines of photos with known poses.
 
 A synthetic query holds what a matcher gets for a photo: the skyline's row in each column of an
 image, with the errors of an extraction, and a field of view that is nearly right. Each query is
@@ -91,13 +91,19 @@ class QueryConfig:
 
     @property
     def fov_sd_share(self) -> float:
-        """Standard deviation of the field of view given, as a share of the true one."""
+        """Standard deviation of the given field of view, as a share.
+
+        It is a share of the true one.
+        """
         return self.fov_error / math.sqrt(3.0)
 
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """Where a query was taken and how the camera was held; angles as in `matching.query.level`."""
+    """The true pose of a query.
+
+    Angles are as in `skyline.camera.Camera`.
+    """
 
     # In the frame and above the datum of the query's elevation model.
     easting_m: float
@@ -116,7 +122,7 @@ class Truth:
         return np.asarray(np.hypot(east_m - self.easting_m, north_m - self.northing_m))
 
     def camera(self, width_px: int = 960, height_px: int = 640) -> Camera:
-        """Return the camera as it was held, for a photo of a width and a height."""
+        """Return the camera as it was held, for a photo's size."""
         held = self.heading_deg, self.pitch_deg, self.roll_deg, self.fov_deg
         return Camera(*held, width_px=width_px, height_px=height_px)
 
@@ -136,9 +142,10 @@ class SyntheticQuery:
     occluders: tuple[Occluder, ...]
 
     def rays(self) -> Rays:
-        """Return the query as a matcher's rays, with what is known of its field of view.
+        """Return the query as a matcher's rays.
 
-        It raises `InputError` where no column has a skyline.
+        They have what is known of its field of view. Raises `InputError` where no column has a
+        skyline.
         """
         return Rays.of(self.skyline, self.fov_sd_share, finds_fov=True)
 
@@ -177,7 +184,10 @@ def make_queries_together(
 def _queries(
     terrain: HeightField, bounds_m: Rectangle, entropies: list[list[list[int]]], config: QueryConfig
 ) -> Iterator[tuple[SyntheticQuery, ...]]:
-    """Yield the queries of each place, which is drawn with the first of them."""
+    """Yield the queries of each place.
+
+    A place is drawn with its first query.
+    """
     held = [[_hold(terrain, bounds_m, each, config) for each in some] for some in entropies]
     easting_m, northing_m = np.array([some[0][0] for some in held]).T
     eyes = stand_on(
@@ -230,7 +240,10 @@ def _hold(
 def _photographed(
     horizons: Horizons, index: int, camera: Camera, entropy: list[int], config: QueryConfig
 ) -> SyntheticQuery:
-    """Return what an extraction finds in a photo of one of the horizons."""
+    """Return the skyline that an extraction finds in a photo.
+
+    The photo shows one of the horizons.
+    """
     masks, errors, things, lens = (
         np.random.default_rng([*entropy, part]) for part in (_MASKS, _ERRORS, _OCCLUDERS, _LENS)
     )
@@ -269,7 +282,7 @@ def _photographed(
 
 
 def _bent(row_px: Float64Array, height_px: int, distortion: float) -> Float64Array:
-    """Return a skyline's rows (W,) as a lens with a distortion shows them.
+    """Return a skyline's rows (W,) through a lens with distortion.
 
     Columns without a row stay without one.
     """
@@ -286,7 +299,10 @@ def _bent(row_px: Float64Array, height_px: int, distortion: float) -> Float64Arr
 
 
 def _errors_px(generator: np.random.Generator, camera: Camera, config: QueryConfig) -> Float64Array:
-    """Draw the errors of the rows (W,): each column's own, and a smooth part."""
+    """Draw the errors of the rows (W,).
+
+    Each is the sum of the column's own error and of a smooth part.
+    """
     rms_px = np.radians(generator.uniform(*config.noise_deg)) * camera.focal_px
     own, smooth = generator.standard_normal((2, camera.width_px))
     # White noise under a Gaussian of deviation s has the correlation exp(-d^2 / (4 s^2)).
@@ -306,7 +322,10 @@ def _errors_px(generator: np.random.Generator, camera: Camera, config: QueryConf
 def random_runs(
     generator: np.random.Generator, width: int, share: float, count: int
 ) -> tuple[Run, ...]:
-    """Return ``count`` runs that do not overlap and hold ``share`` of ``width`` columns."""
+    """Return ``count`` runs of columns that do not overlap.
+
+    Together they hold ``share`` of ``width`` columns.
+    """
     hidden = round(share * width)
     count = min(count, hidden)
     return _placed(generator, width, 1 + _split(generator, hidden - count, count)) if count else ()
@@ -337,7 +356,7 @@ def random_occluders(
 def _stand(
     generator: np.random.Generator, kind: str, run: Run, behind_px: Float64Array
 ) -> Occluder:
-    """Return an occluder of one kind whose top is above what is behind it."""
+    """Return an occluder of a kind, higher than what it hides."""
     start, stop = run
     across = (2.0 * np.arange(stop - start) + 1.0) / (stop - start) - 1.0
     shapes = {"tree": 1.0 - np.abs(across), "person": np.sqrt(1.0 - across**2)}
@@ -350,7 +369,10 @@ def _stand(
 
 
 def _filled(row_px: Float64Array) -> Float64Array:
-    """Return rows (W,) with the unknown ones interpolated; all 0 where none is known."""
+    """Return rows (W,) with unknown ones interpolated.
+
+    All are 0 where none is known.
+    """
     known = np.flatnonzero(np.isfinite(row_px))
     if not known.size:
         return np.zeros_like(row_px)
@@ -358,7 +380,10 @@ def _filled(row_px: Float64Array) -> Float64Array:
 
 
 def _split(generator: np.random.Generator, total: int, parts: int) -> IntArray:
-    """Return whole numbers (parts,) of at least 0 with a given sum, drawn evenly."""
+    """Return random whole numbers (parts,) with a given sum.
+
+    They are at least 0 and drawn evenly.
+    """
     cuts = np.sort(generator.integers(0, total + 1, parts - 1))
     return np.diff(cuts, prepend=0, append=total).astype(np.intp)
 

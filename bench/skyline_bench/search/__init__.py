@@ -1,1 +1,1 @@
-"""Comparisons of stores x queries: stores to build, trials, and summaries of the answers."""
+"""Comparisons of stores and queries: stores, trials and summaries."""

@@ -1,4 +1,7 @@
-"""The commands of ``search``: stores x matchers x queries, and what each compares by default."""
+"""The commands of ``search``, and what each compares by default.
+
+A command compares stores, matchers and queries.
+"""
 
 import math
 from collections.abc import Callable, Container, Mapping, Sequence
@@ -38,7 +41,7 @@ from skyline_bench.search.stores import BuiltStore, StoreSpec, middle_deg
 
 _GRIDS_M = (1024.0, 512.0, 256.0, 128.0)
 _THRESHOLDS_PX = (12.0, 6.0, 3.0)
-"""Of the paper's planner: from few renderings to many."""
+"""Thresholds of the paper's planner, from few renderings to many."""
 _FOUND = "km2 n within_200m within_1km median_m mean_m answered precision query_s"
 _QUICK_M = 3000.0
 """Sides of the square that is searched by default with ``--quick``."""
@@ -52,21 +55,24 @@ _HELP_COLUMNS = 78
 
 @dataclass(frozen=True, slots=True)
 class Search:
-    """A comparison: every matcher searches every store that it can read, for the same queries."""
+    """A comparison of matchers and stores by the same queries.
+
+    Every matcher searches every store that it can read.
+    """
 
     about: str  # The help text
     takes: str  # How long the whole comparison takes on 2 cores without a GPU
     columns: str  # Printed; rows of groups are printed where "group" is among them
     stores: tuple[StoreSpec, ...] = (StoreSpec(),)
-    matchers: tuple[str, ...] = (FULL,)  # Of `skyline_bench.search.trials.MATCHERS`
-    kinds: tuple[str, ...] = ("plain",)  # Names of `skyline_bench.queries.kinds.KINDS`
-    queries: int = 100  # Of each kind
+    matchers: tuple[str, ...] = (FULL,)  # Names in `skyline_bench.search.trials.MATCHERS`
+    kinds: tuple[str, ...] = ("plain",)  # Names in `skyline_bench.queries.kinds.KINDS`
+    queries: int = 100  # Number of queries of each kind
     areas_km2: tuple[float, ...] = ()  # Squares that are searched, beside the whole area
     by_thirds: bool = False  # Whether queries are grouped by thirds of their distances
     in_middle: bool = True  # Whether the area is by default 5 x 10 km in the DEM's middle
     # West, south, east, north of the area; by default all of the DEM, or what a given store covers.
     bounds_deg: Bounds | None = None
-    seed: int = 0  # Of the queries
+    seed: int = 0  # Seed of the queries
 
     def area_deg(self) -> Bounds | None:
         """Return the bounds of the area; None for all of the DEM."""
@@ -102,7 +108,10 @@ class Search:
             self._check_areas(terrain, held)
 
     def _check_areas(self, terrain: HeightField, held: Container[str]) -> None:
-        """Raise `InputError` unless a store can be searched in part, for all kinds of queries."""
+        """Check that a store can be searched in part.
+
+        Raises `InputError` unless it can, for all kinds of queries.
+        """
         if PLACES not in held:
             raise InputError("--area needs a store of places: renderings are searched whole")
         whole = [kind for kind in self.kinds if kind in kinds.SEARCHED_WHOLE]
@@ -129,13 +138,13 @@ class Search:
         progress: Progress,
         strange: HeightField | None = None,
     ) -> tuple[list[Row], list[BuiltStore]]:
-        """Search every store with every matcher that can search it, for the same queries.
+        """Search every store with every matcher for the same queries.
 
-        Return a row for each store, matcher, kind of queries, area searched and group of queries,
-        and the stores, which are kept in ``folder``; a store that is there is not built again.
-        Position errors are those of the best candidate, whether or not it is an answer; a query
-        without any candidate counts as wrong by half of the area's diagonal. Heading errors are
-        those of the right answers.
+        A matcher searches the stores that it can read. Returned are a row for each store, matcher,
+        kind of queries, area searched and group of queries, and the stores, which are kept in
+        ``folder``; a store that is there is not built again. Position errors are those of the best
+        candidate, whether or not it is an answer; a query without any candidate counts as wrong by
+        half of the area's diagonal. Heading errors are of right answers only.
         """
         bounds_deg = self.area_deg()
         stores = [spec.build(terrain, folder, bounds_deg, progress) for spec in self.stores]
@@ -207,7 +216,10 @@ def _one_a_planner(stores: Sequence[StoreSpec]) -> list[StoreSpec]:
 
 
 def _plans(strategies: Names, thresholds_px: Floats, seed: int = 0) -> list[StoreSpec]:
-    """Return the paper's plans: of all thresholds where only strategies are named, or none."""
+    """Return the paper's plans.
+
+    Where only strategies are named, there is a plan for every threshold.
+    """
     usual_px = _THRESHOLDS_PX if strategies else ()
     return [
         StoreSpec(RENDERINGS, plan=PlanConfig(name, threshold_px=pixels, seed=seed))
@@ -282,7 +294,10 @@ SEARCHES: Mapping[str, Search] = {
 
 
 def command_of(name: str, search: Search) -> Callable[..., None]:
-    """Return the command of a search; all of them have the same options."""
+    """Return the command of a search.
+
+    All searches have the same options.
+    """
 
     def command(
         dem: options.Dems,

@@ -1,4 +1,4 @@
-"""The stores of a comparison: built once in a folder, or given as files."""
+"""The stores of a comparison, built once or given as files."""
 
 import json
 import logging
@@ -38,17 +38,20 @@ _NOTE = ".build.json"
 
 @dataclass(frozen=True, slots=True)
 class StoreSpec:
-    """A store to search: uniform, planned, planned as in the paper, or a file."""
+    """A store to search.
+
+    It is uniform, planned, planned as in the paper, or a file.
+    """
 
     holds: str = PLACES  # Places or renderings
-    spacing_m: float | None = None  # Of a uniform grid; places are planned without it
+    spacing_m: float | None = None  # Spacing of a uniform grid; places are planned without it
     places: int | None = None  # About so many planned places; by default as many as a build plans
     plan: PlanConfig | None = None  # A plan of the paper's, which is of renderings
     path: Path | None = None  # A store that exists already
 
     @property
     def planner(self) -> str:
-        """The planner that chose the viewpoints; a store that exists has its own."""
+        """The planner of the viewpoints of a store that is built."""
         if self.plan is not None:
             return self.plan.strategy
         return PLANNED if self.spacing_m is None else UNIFORM
@@ -70,7 +73,10 @@ class StoreSpec:
         return f"{'places' if self.holds == PLACES else 'uniform'}-{self.spacing_m:g}"
 
     def check(self, terrain: HeightField, bounds_deg: Bounds | None) -> None:
-        """Raise `InputError` unless the store can be built in an area, or opened."""
+        """Check that the store can be built in an area, or opened.
+
+        Raises `InputError` where it cannot.
+        """
         area = map_bounds(terrain, bounds_deg)
         if self.path is not None:
             BuiltStore.read(self, self.path)
@@ -178,7 +184,10 @@ def middle_deg(
     size_m: tuple[float, float] = (5_000.0, 10_000.0),
     bounds_deg: Bounds | None = None,
 ) -> Bounds:
-    """Return the middle of bounds, by default of the DEM, at most of a size."""
+    """Return the middle part of bounds, of a size at most.
+
+    By default the bounds are the DEM's.
+    """
     west, south, east, north = map_bounds(terrain, bounds_deg)
     half_east = min(size_m[0], east - west) / 2.0
     half_north = min(size_m[1], north - south) / 2.0

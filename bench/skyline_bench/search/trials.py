@@ -1,7 +1,7 @@
-"""Trials: a matcher searches a store for a query; and the figures of trials.
+"""Trials of matchers, and their figures.
 
-A trial has the error of the best candidate. Shares have Wilson's intervals. Adaptive stores are
-compared with uniform ones.
+In a trial, a matcher searches a store for a query; the error of a trial is the best candidate's.
+Shares have Wilson's intervals. Adaptive stores are compared with uniform ones.
 """
 
 import math
@@ -46,15 +46,15 @@ def searched_by(matcher: str) -> str:
 class Trial:
     """A query, and the best candidate that was found for it."""
 
-    distance_m: float  # Of the query's skyline; see `skyline_bench.queries.kinds.distance_m`
-    error_m: float = math.inf  # From the truth; infinite without a candidate
+    distance_m: float  # Distance of the skyline; see `skyline_bench.queries.kinds.distance_m`
+    error_m: float = math.inf  # Distance from the truth; infinite without a candidate
     heading_error_deg: float = math.nan  # 0 to 180; NaN without a candidate
     confidence: float | None = None
-    radius_m: float | None = None  # That 68 % of the errors should be within
+    radius_m: float | None = None  # Radius within which 68 % of the errors should be
     within_m: float | None = None  # How near the matcher answers; None without an answer
-    # Of a lost query, how much better the true pose fits than the best candidate; else None.
+    # How much better the true pose of a lost query fits than the best candidate; else None.
     truth_ahead: float | None = None
-    # Whether a photo is named as not of the others' place; with a stranger, whether that is named.
+    # Whether a photo is named as taken elsewhere; with a stranger, whether the stranger is named.
     named: bool = False
     seconds: float = 0.0
     cpu_s: float = 0.0
@@ -85,9 +85,10 @@ def tried(matcher: Matcher, query: Query, narrowing: Narrowing | None, *, strang
 
 
 def _truth_ahead(matcher: Matcher, query: SyntheticQuery, result: MatchResult) -> float | None:
-    """Return how much less the refined true pose costs than the best candidate.
+    """Return how much less the true pose costs than the best candidate.
 
-    None where either does not exist: without refinement, or where nothing fits.
+    The true pose is refined. None where either does not exist: without refinement, or where nothing
+    fits.
     """
     truth = query.truth
     fov_deg = query.skyline.fov_deg or query.truth.fov_deg
@@ -132,7 +133,7 @@ def trial_of(
         math.nan if strange else turn_deg,
         best.confidence,
         best.radius_m,
-        result.within_m or 200.0 if result.answer is not None else None,
+        result.within_m,
         named=named,
     )
 
@@ -173,8 +174,8 @@ def summarize(trials: Sequence[Trial], miss_m: float, seed: int) -> Row:
     """Return the figures of trials.
 
     A query without a candidate is wrong by ``miss_m``. Queries over 200 m off are lost by the
-    search if the true pose fits clearly better than the best candidate, and lost to likeness if
-    that fits as well or better.
+    search if the true pose fits clearly better than the best candidate, and lost to likeness if the
+    best candidate fits as well or better.
 
     The interval of the mean is a percentile bootstrap over the queries. One seed draws the same
     queries for every row, so that rows can be compared.
@@ -233,10 +234,11 @@ def against_uniform(rows: Sequence[Row]) -> list[Row]:
     """Hold each adaptive store to uniform ones that are searched alike.
 
     The same matcher searches them for the same queries, as widely. ``uniform_mean_m`` is the mean
-    error that a uniform store of as many renderings would have, and ``gain`` is that over the
-    store's own; ``uniform_renderings`` is how many renderings a uniform store would take to be as
-    accurate, and ``share`` the store's own over those. They are interpolated between the uniform
-    stores on logarithmic axes, and None outside their range.
+    error that a uniform store of as many renderings would have, and ``gain`` is that error over the
+    adaptive store's error. ``uniform_renderings`` is how many renderings a uniform store would need
+    to be as accurate, and ``share`` is the adaptive store's number of renderings over that number.
+    They are interpolated between the uniform stores on logarithmic axes, and None outside their
+    range.
     """
     uniform, adaptive = by_planner(rows)
     held: list[Row] = []

@@ -1,7 +1,7 @@
-"""Errors of rendered skylines against the oracle's, and the bounds on these errors.
+"""Errors of rendered skylines against the oracle's, and their bounds.
 
-A path's error must stay within a bound derived from how it computes, column by column. The bound
-of the horizon path is that of 32-bit floats; the bound of the depth path is its quantization.
+A path's error must stay within a bound derived from how it computes, column by column. The horizon
+path is bounded by the rounding of 32-bit floats, and the depth path by its quantization.
 """
 
 import dataclasses
@@ -46,7 +46,10 @@ _NEAR_PX = 0.008
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SkylineScene:
-    """A scene to render: eyes on a surface, W columns a view, the planet below."""
+    """A scene to render: eyes on a surface.
+
+    ``width`` is the number of columns of a view.
+    """
 
     field: HeightField
     viewpoints: Viewpoints
@@ -140,14 +143,14 @@ def quantized_agreement(scene: SkylineScene, views: Views, truth: SkylineTruth) 
 
 
 def _steepness(views: Views) -> Float64Array:
-    """Return the greatest |dv / du| from each column to its neighbours, (N, W)."""
+    """Return the greatest |dv / du| (N, W) from columns to neighbours."""
     steps = np.abs(np.diff(np.nan_to_num(views.v), axis=1)) / pixel_size(views.width)
     steps = np.pad(steps, ((0, 0), (1, 1)))
     return np.asarray(np.maximum(steps[:, 1:], steps[:, :-1]), dtype=np.float64)
 
 
 def float32_bound_px(scene: SkylineScene, views: Views, truth: Views) -> Float64Array:
-    """Return what 32-bit arithmetic may cost in each column, (N, W), in px.
+    """Return what 32-bit arithmetic may cost in columns (N, W), px.
 
     A crossing's ordinate is v = y / z with y = (1 - f) h0 + f h1 - drop, heights from the eye,
     f the fraction along the edge crossed, z the depth. With e = 2^-24, D the greatest height
@@ -161,11 +164,11 @@ def float32_bound_px(scene: SkylineScene, views: Views, truth: Views) -> Float64
     - the depth of a crossing 7 roundings, the division and the scale 2.
 
     Altogether |dv| <= e (15 |v| + 2.5 D / z + 18 drop / z + 9 r D / s). Nearer than one cell
-    D / z grows; the renderer turns to float64 where it reckons that this costs 0.004 px with the
-    greatest height over the eye for D, of which the difference of two heights is at most twice.
+    D / z grows; the renderer turns to float64 where it reckons that this costs 0.004 px. It takes
+    the greatest height over the eye for D; the difference of two heights is at most twice as large.
 
-    The greatest of several crossings is wrong by no more than the worst of those that are
-    greatest in the truth or in the rendering, whence the lesser depth and the greater v.
+    Where the truth and the rendering have different greatest crossings, the error is at most the
+    worse of the two crossings' errors. So the lesser depth and the greater v are taken.
     """
     field = scene.field
     pixel = pixel_size(scene.width)
@@ -187,7 +190,10 @@ def float32_bound_px(scene: SkylineScene, views: Views, truth: Views) -> Float64
 
 
 def greatest_step_m(field: HeightField) -> float:
-    """Return the greatest height difference along any edge of the surface; 0 without edges."""
+    """Return the greatest height difference along the surface's edges.
+
+    0 without edges.
+    """
     heights = field.heights_m.astype(np.float64)
     diagonals = heights[1:, 1:] - heights[:-1, :-1]
     steps = np.diff(heights, axis=0), np.diff(heights, axis=1), diagonals
@@ -225,7 +231,10 @@ def undecided_columns(
 
 
 def _columns_past_rims(scene: SkylineScene) -> BoolArray:
-    """Return (N, W): whether a column's ray passes a sample where the surface ends."""
+    """Mark the columns (N, W) whose rays pass the surface's rim.
+
+    The rim is the samples where the surface ends.
+    """
     field = scene.field
     eyes = scene.viewpoints
     u = columns_u(scene.width)

@@ -1,4 +1,4 @@
-"""Hard cases, the terrain that they stand on, and the cases of map frames.
+"""Hard cases with their terrain, and cases of map frames.
 
 Positions are whole multiples of powers of two, so that an eye that is to be on a sample, an edge or
 a diagonal is there exactly.
@@ -79,13 +79,19 @@ class SceneCase:
 
 @lru_cache(maxsize=1)
 def _posed(case: SceneCase, quick: bool) -> tuple[SkylineScene, SkylineTruth]:
-    """Return a case's scene and truth; kept, since several paths look at one case in turn."""
+    """Return a case's scene and truth.
+
+    They are kept, since several paths look at one case in turn.
+    """
     scene = case.scene().quick() if quick else case.scene()
     return scene, case.truth(scene)
 
 
 def rough_heights(rows: int, cols: int, relief_m: float = 800.0, seed: int = 0) -> Float64Array:
-    """Return rough heights with a power-law spectrum, slopes of 45 degrees and more at 32 m."""
+    """Return rough heights with a power-law spectrum.
+
+    At a spacing of 32 m, slopes are 45 degrees and more.
+    """
     return 1500.0 + relief_m * fractal(rows, cols, seed, 1.8)
 
 
@@ -175,7 +181,10 @@ class _Country:
     lat_deg: float
 
     def scene(self) -> SkylineScene:
-        """Write the country as DEM tiles in degrees, read them back and stand in it."""
+        """Return the scene of the country, read from DEM tiles.
+
+        The tiles are in degrees, and are written first.
+        """
         with tempfile.TemporaryDirectory() as folder:
             field = read_dem(self._write_tiles(Path(folder)))
         eye = field.frame.from_lonlat(self.lon_deg, self.lat_deg)
@@ -211,7 +220,10 @@ class _Country:
         return height
 
     def _write_tiles(self, folder: Path) -> list[Path]:
-        """Write two tiles that meet at the eye's meridian, named as degrees within +-180."""
+        """Write two tiles that meet at the eye's meridian.
+
+        Their degrees are within +-180.
+        """
         shrink = np.cos(np.radians(self.lat_deg))
         step_lon = _STEP_DEG * np.round(1.0 / shrink)
         reach_deg = 1.1 * _REACH_M / 111_000.0
@@ -232,13 +244,13 @@ class _Country:
 
 
 def _slack_tan(spacing_m: float) -> float:
-    """Return how far v on the sampled terrain may be from v on the function.
+    """Return how far v on the samples may be off.
 
-    The function's second derivative is at most k = peak / sigma^2. Triangles with legs of one
-    spacing lie within k spacing^2 / 4 of it, cubic convolution of samples a spacing apart within
-    a tenth of that, twice over for the profile's steps of 65 m; seen from beyond two sigmas
-    before a peak. Geodesic and grid line to 20 km part by less than 20 km * 20 km / R^2 = 1e-5 in
-    azimuth, and the frame's scale is within 2e-5 of 1.
+    The truth is v on the function that is sampled. The function's second derivative is at most k =
+    peak / sigma^2. Triangles with legs of one spacing lie within k spacing^2 / 4 of it, cubic
+    convolution of samples a spacing apart within a tenth of that, twice over for the profile's
+    steps of 65 m; seen from beyond two sigmas before a peak. Geodesic and grid line to 20 km part
+    by less than 20 km * 20 km / R^2 = 1e-5 in azimuth, and the frame's scale is within 2e-5 of 1.
     """
     curve = _PEAK_M / _SIGMA_M**2
     nearest = _PEAK_AWAY_M - 2.0 * _SIGMA_M

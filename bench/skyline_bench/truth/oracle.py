@@ -1,10 +1,10 @@
-"""The float64 skyline of the exact surface: slow and plain, the reference for all others.
+"""The oracle: the float64 skyline of the exact surface.
 
-The vertical half-plane of a column meets the surface's edges where its ground ray crosses the
-three families of grid lines: the columns of samples, the rows, and the north-west to south-east
-diagonals. Between two samples of an edge the height is linear, and v is monotonic along the
-half-plane inside a triangle, so the greatest v over all crossings is the skyline. No edge in
-front of the eye is left out.
+It is slow and plain, and the reference for all others. The vertical half-plane of a column meets
+the surface's edges where its ground ray crosses the three families of grid lines: the columns of
+samples, the rows, and the north-west to south-east diagonals. Between two samples of an edge the
+height is linear, and v is monotonic along the half-plane inside a triangle, so the greatest v over
+all crossings is the skyline. No edge in front of the eye is left out.
 """
 
 import itertools
@@ -39,11 +39,11 @@ _CROSSINGS_AT_ONCE = 400_000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Crossings:
-    """Where R ground rays cross L lines of one family; arrays are (R, L).
+    """Where R ground rays cross L lines of one family.
 
-    The edge crossed joins sample (row, col) to (row + row_step, col + col_step), and
-    ``fraction`` is how far along it. ``near`` and ``far`` are whether the triangle on the
-    eye's side of the edge, and the one beyond, belong to the surface; both are False off the map.
+    Arrays are (R, L). The edge crossed joins sample (row, col) to (row + row_step, col + col_step),
+    and ``fraction`` is how far along it. ``near`` and ``far`` are whether the triangle on the eye's
+    side of the edge, and the one beyond, belong to the surface; both are False off the map.
     """
 
     depth_m: Float64Array
@@ -62,9 +62,9 @@ def skyline(
     width: int = DEFAULT_WIDTH,
     curvature: Curvature | None = None,
 ) -> Views:
-    """Compute exact skylines in all four headings, ``width`` columns W a view; see `skyline_at`.
+    """Compute exact skylines in all four headings; see `skyline_at`.
 
-    The curvature is by default the Earth's with k = 0.13.
+    A view has ``width`` columns W. The curvature is by default the Earth's with k = 0.13.
     """
     u = columns_u(check_width(width))
     return skyline_at(field, viewpoints, u, curvature or Curvature())
@@ -88,10 +88,11 @@ def skyline_at(
 def rivals(
     field: HeightField, viewpoints: Viewpoints, u: Float64Array, curvature: Curvature
 ) -> list[Float64Array]:
-    """Compute what decides whether a column is flagged, at any abscissas; see `skyline_at`.
+    """Compute the rivals that decide which columns are flagged.
 
-    These are the greatest v (4 N, W) over the crossings beyond which the surface goes on, and over
-    those where it ends; -inf where there are none. The greater of the two is the skyline.
+    Abscissas are as in `skyline_at`. The rivals are the greatest v (4 N, W) over the crossings
+    beyond which the surface goes on, and over those where it ends; -inf where there are none. The
+    greater of the two is the skyline.
     """
     return _seen(field, viewpoints, u, curvature, _Scene.rivals, (np.float64, np.float64))
 
@@ -104,7 +105,10 @@ def _seen(
     look: Callable[["_Scene", Float64Array], tuple[NDArray[Any], ...]],
     kinds: Sequence[type[np.generic]],
 ) -> list[NDArray[Any]]:
-    """Return what is seen in every column of the four headings of each eye, (4 N, W) each."""
+    """Return what each eye sees in its four headings.
+
+    The arrays are (4 N, W) each.
+    """
     triangles = Triangles.of(field.heights_m)
     seen = [np.empty((4 * len(viewpoints), len(u)), dtype=kind) for kind in kinds]
     for index in range(len(viewpoints)):
@@ -116,7 +120,10 @@ def _seen(
 
 
 def directions_at(heading: int, u: Float64Array) -> Float64Array:
-    """Return (W, 2): east and north covered per metre of forward depth at abscissas u (W,)."""
+    """Return the ground directions (W, 2) at abscissas u (W,).
+
+    They are metres east and north for each metre of forward depth.
+    """
     turn = rotation(heading)
     right = turn[0, [0, 2]]
     forward = turn[2, [0, 2]]
@@ -124,7 +131,10 @@ def directions_at(heading: int, u: Float64Array) -> Float64Array:
 
 
 class _Scene:
-    """The surface as one eye sees it: heights relative to the eye, curvature dropped."""
+    """The surface as one eye sees it.
+
+    Heights are relative to the eye, less the drop of curvature.
+    """
 
     def __init__(
         self,
@@ -153,7 +163,7 @@ class _Scene:
     def skyline(
         self, directions: Float64Array
     ) -> tuple[Float64Array, Float64Array, NDArray[np.uint8]]:
-        """Return ordinates v, depths and flags of the columns with these ground directions.
+        """Return ordinates v, depths and flags of columns.
 
         ``directions`` is (W, 2), east and north per metre of forward depth.
         """
@@ -192,7 +202,10 @@ class _Scene:
         return inner, border
 
     def _crossings(self, directions: Float64Array) -> Iterator[tuple[slice, _Crossings]]:
-        """Yield spans of columns with these ground directions, and their crossings by family."""
+        """Yield spans of columns, and their crossings by family.
+
+        The columns have the given ground directions.
+        """
         # Grid steps per metre of depth; columns head east, rows south, diagonals col - row.
         col_rate = directions[:, 0] / self.field.spacing_east_m
         row_rate = -directions[:, 1] / self.field.spacing_north_m
@@ -201,7 +214,10 @@ class _Scene:
                 yield part, crossings
 
     def _families(self, col_rate: Float64Array, row_rate: Float64Array) -> Iterator[_Crossings]:
-        """Yield the crossings with each family; the rays' rates must not differ in sign."""
+        """Yield the crossings with each family.
+
+        The rays' rates must not differ in sign.
+        """
         rows = self.field.rows
         cols = self.field.cols
         north_east = self.triangles.north_east
@@ -254,9 +270,10 @@ class _Scene:
 
 
 def _split(position: Float64Array, samples: int) -> tuple[Int64Array, Float64Array]:
-    """Split positions along a grid line into the edge's first sample and the fraction along it.
+    """Split positions on a grid line into samples and fractions.
 
-    The first sample is -1 where the position is off the map.
+    These are the edge's first sample and the fraction along the edge. The first sample is -1 where
+    the position is off the map.
     """
     first = np.minimum(np.floor(position), max(samples - 2, 0))
     on_map = (position >= 0.0) & (position <= samples - 1)
@@ -264,7 +281,10 @@ def _split(position: Float64Array, samples: int) -> tuple[Int64Array, Float64Arr
 
 
 def _lines_ahead(eye: float, rate: Float64Array, first: int, stop: int) -> Int64Array:
-    """Return the lines first..stop-1 of a family that lie strictly ahead of the eye."""
+    """Return the lines of a family that lie ahead of the eye.
+
+    They lie strictly ahead, and are among ``first`` to ``stop`` - 1.
+    """
     if rate[0] > 0.0:
         return np.arange(max(first, int(np.floor(eye)) + 1), stop)
     if rate[0] < 0.0:
@@ -273,7 +293,10 @@ def _lines_ahead(eye: float, rate: Float64Array, first: int, stop: int) -> Int64
 
 
 def _runs(col_rate: Float64Array, row_rate: Float64Array, lines: int) -> Iterator[slice]:
-    """Yield spans of columns whose rays head the same way, short enough for one evaluation."""
+    """Yield spans of columns whose rays head the same way.
+
+    They are short enough for one evaluation.
+    """
     way = np.sign(np.stack([col_rate, row_rate, col_rate - row_rate]))
     turns = np.flatnonzero((np.diff(way, axis=1) != 0.0).any(axis=0)) + 1
     bounds = [0, *turns.tolist(), len(col_rate)]

@@ -1,4 +1,7 @@
-"""Hard cases: of the eye's place, of steep or close terrain, and of the map as a whole."""
+"""Hard cases of the eye's place, of terrain, and of maps.
+
+The terrain is steep or close.
+"""
 
 from dataclasses import replace
 from functools import partial
@@ -31,7 +34,10 @@ def _eye_at_offset(row_share: float, col_share: float) -> SkylineScene:
 
 
 def _eye_near_edges() -> SkylineScene:
-    """Eyes at 4 m to 0.06 mm from an edge, a diagonal or a sample, no higher than the ground."""
+    """Eyes close to an edge, a diagonal or a sample.
+
+    They are 4 m to 0.06 mm away, and no higher than the ground.
+    """
     field = forms.rough_field()
     away = 2.0 ** -np.array([3.0, 5.0, 7.0, 8.0, 9.0, 10.0, 12.0, 15.0, 19.0])
     row, col = forms.spots(field, 3 * len(away))
@@ -103,7 +109,10 @@ GRID_CASES = (
 
 
 def _pyramid() -> SkylineScene:
-    """Return the summit of |east| + |north| pyramid: flat faces that fold along grid lines."""
+    """Return the summit of a pyramid, |east| + |north|.
+
+    Its flat faces fold along grid lines.
+    """
     steps = np.abs(np.arange(-64.0, 65.0))
     heights = 4000.0 - 16.0 * (steps[:, np.newaxis] + steps)
     field = forms.field_of(heights)
@@ -125,7 +134,10 @@ _PIT_SPACING_M = 16.0
 
 
 def _pit(depth_m: float) -> SkylineScene:
-    """Return a square pit with one-cell walls, one cell from its middle to the foot."""
+    """Return a square pit with walls of one cell.
+
+    Its middle is one cell from their foot.
+    """
     steps = np.abs(np.arange(-40, 41))
     floor = np.maximum(steps[:, np.newaxis], steps) <= _PIT_CELLS
     field = forms.field_of(np.where(floor, 0.0, depth_m), _PIT_SPACING_M)
@@ -144,7 +156,10 @@ def _pit_skyline(scene: SkylineScene) -> forms.ClosedForm:
 
 
 def _below_a_crest(slope: float) -> SkylineScene:
-    """Stand with the eye on a slope to the north, 1 mm (2^-10 m) below the crest."""
+    """Stand on a slope to the north, just below the crest.
+
+    The eye is 1 mm (2^-10 m) below the crest.
+    """
     spacing = 4.0
     profile = -slope * spacing * np.abs(np.arange(41.0) - 16.0)
     field = forms.field_of(np.broadcast_to(profile[:, np.newaxis], (41, 41)), spacing)
@@ -154,7 +169,10 @@ def _below_a_crest(slope: float) -> SkylineScene:
 
 
 def _slope_skyline(scene: SkylineScene) -> forms.ClosedForm:
-    """Return the eye's own slope: uphill to the crest a millimetre away, downhill for ever."""
+    """Return the skyline of the eye's own slope.
+
+    Uphill the crest is a millimetre away; downhill the slope has no end.
+    """
     field = scene.field
     slope = float(field.heights_m[16, 0] - field.heights_m[17, 0]) / field.spacing_north_m
     u = columns_u(scene.width)
@@ -163,7 +181,10 @@ def _slope_skyline(scene: SkylineScene) -> forms.ClosedForm:
 
 
 def _at_a_wall() -> SkylineScene:
-    """Stand 1 mm (2^-10 m) before the foot of a 60 m wall in one cell of half a metre."""
+    """Stand 1 mm (2^-10 m) before the foot of a wall.
+
+    The wall rises 60 m in one cell of half a metre.
+    """
     heights = np.zeros((64, 64))
     heights[:20] = 60.0
     field = forms.field_of(heights, 0.5)
@@ -192,7 +213,10 @@ def _spike() -> SkylineScene:
 
 
 def _near_and_far() -> SkylineScene:
-    """One view with an edge at 0.1 m and a summit at 250 km."""
+    """Return a view of a near edge and a far summit.
+
+    The edge is at 0.1 m, and the summit at 250 km.
+    """
     spacing = 250.0
     heights = np.full((1030, 41), -400.0)
     # The row just north of the eye falls from west to east, through the eye's own height.
@@ -254,7 +278,7 @@ def _plain(*eye_heights_m: float) -> SkylineScene:
 
 
 def _plain_skyline(scene: SkylineScene) -> forms.ClosedForm:
-    """Return the dip of the horizon, also where the data end before it."""
+    """Return the dip of the horizon, even past the data's end."""
     eye_height = np.repeat(scene.viewpoints.eye_elevation_m, len(HEADINGS))[:, np.newaxis]
     drop = scene.curvature.drop_per_m2 * (1.0 + columns_u(scene.width) ** 2)
     # v(z) = -h / z - drop z is greatest at sqrt(h / drop).
@@ -322,7 +346,10 @@ PLANET_CASES = tuple(
 
 
 def _holed_heights() -> Float64Array:
-    """Return rough terrain with a void, a one-sample void, thin necks and lone samples."""
+    """Return rough terrain with holes of several kinds.
+
+    It has a void, a void of one sample, thin necks and lone samples.
+    """
     heights = forms.rough_heights(96, 96, seed=12)
     heights[30:40, 50:60] = np.nan
     heights[60, 40] = np.nan
@@ -345,7 +372,10 @@ def _beside_voids() -> SkylineScene:
 
 
 def _void_ahead() -> SkylineScene:
-    """Stand on the southern rim of a void that fills the north, and north-east of one."""
+    """Stand on the rims of voids.
+
+    One eye stands on the southern rim of a void that fills the north, another north-east of a void.
+    """
     heights = forms.rough_heights(64, 64, seed=13)
     heights[:31] = np.nan
     field = forms.field_of(heights)
@@ -383,7 +413,10 @@ TINY_CASES = tuple(
 
 
 def _far_from_origin() -> SkylineScene:
-    """Stand in a field of half-metre samples at an easting and a northing of 10,000 km."""
+    """Stand in a field far from its map's origin.
+
+    The easting and the northing are 10,000 km, and samples are half a metre apart.
+    """
     heights = forms.rough_heights(96, 96, 12.0, seed=15) + 7000.0
     field = forms.field_of(heights, 0.5, west_m=1e7, north_m=1e7)
     return SkylineScene(field, forms.eyes_anywhere(field, 4, [0.0, 0.25, 1.75, 20.0]))

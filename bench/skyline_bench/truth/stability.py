@@ -38,7 +38,10 @@ class SameCase:
 
 
 def _repeated(parts: Sequence[int], path: RenderPath, quick: bool) -> Agreement:
-    """Compare a batch with the same cut into parts; a column with other bytes is wrong by inf."""
+    """Compare a batch with the same batch cut into parts.
+
+    A column with other bytes is wrong by inf.
+    """
     field = forms.rough_field(17)
     scene = SkylineScene(field, forms.eyes_anywhere(field, 40, np.tile([0.0, 2.0], 20)), 160)
     cuts = [0, *parts[: 2 if quick else None], len(scene.viewpoints)]
@@ -70,10 +73,11 @@ _WAYS = np.array([(-1, 0), (0, 1), (1, 0), (0, -1)])
 def _turned(
     stood: Callable[[], SkylineScene], turn: Turn, path: RenderPath, quick: bool
 ) -> Agreement:
-    """Compare terrain and its turned copy: each rendering may be off by the path's bound.
+    """Compare renderings of terrain and of its turned copy.
 
-    A half turn and a transposition keep the cells' diagonals; a quarter turn and a mirror do
-    not, so these take terrain whose cells are flat (height = a(row) + b(col)).
+    Each may be off by the path's bound. A half turn and a transposition keep the cells' diagonals;
+    a quarter turn and a mirror do not, so these take terrain whose cells are flat (height = a(row)
+    + b(col)).
     """
     scene = stood().quick() if quick else stood()
     turned = turned_scene(scene, turn)
@@ -83,7 +87,10 @@ def _turned(
 
 
 def turned_scene(scene: SkylineScene, turn: Turn) -> SkylineScene:
-    """Turn a field and the eyes on it; its north-west sample stays where one was."""
+    """Turn a field and the eyes on it.
+
+    Its north-west sample lands where a sample was.
+    """
     field = scene.field
     eyes = scene.viewpoints
     spacings_m = (field.spacing_east_m, field.spacing_north_m)
@@ -102,7 +109,10 @@ def turned_scene(scene: SkylineScene, turn: Turn) -> SkylineScene:
 
 
 def turned_views(views: Views, turn: Turn) -> Views:
-    """Return the views that the turned terrain should give, four headings a viewpoint."""
+    """Return the views that the turned terrain should give.
+
+    A viewpoint has four headings.
+    """
     order = [int(np.flatnonzero((way == _WAYS).all(axis=1))[0]) for way in _WAYS @ turn]
     rows = (np.arange(0, len(views), 4)[:, np.newaxis] + order).ravel()
     # A reflection lets left and right change places.
@@ -138,7 +148,10 @@ def _dyadic_eyes(field: HeightField) -> Viewpoints:
 
 
 def _refused(row: float, col: float, words: str, _path: RenderPath, _quick: bool) -> Agreement:
-    """Try to stand where no eye can: wrong by inf unless refused in the expected words."""
+    """Try to stand where no eye can.
+
+    It is wrong by inf unless refused in the expected words.
+    """
     heights = forms.rough_heights(32, 32)
     heights[10:20, 10:20] = np.nan
     error_px = np.full((1, 1), np.inf)
@@ -185,11 +198,11 @@ HARD_CASES: tuple[HardCase, ...] = (
 
 
 def measure(path: RenderPath, case: HardCase, quick: bool = False) -> Row:
-    """Return the row of a hard case, by a renderer that has a bound for it.
+    """Return the row of a hard case along a path.
 
-    ``error_px`` is the greatest error and ``bound_px`` what is allowed in that column; where a
-    column is over its bound, they are those of the column that is furthest over. ``quick`` takes
-    the first two viewpoints of each scene only.
+    ``error_px`` is the greatest error and ``bound_px`` what is allowed in that column. Where
+    columns are over their bounds, both are of the column that is furthest over. ``quick`` takes the
+    first two viewpoints of each scene only.
     """
     agreement = case.agreement(path, quick)
     error = agreement.error_px
@@ -210,9 +223,10 @@ def measure(path: RenderPath, case: HardCase, quick: bool = False) -> Row:
 
 
 def stability(record: options.Record = None, quick: options.Quick = False) -> None:
-    """Each hard case by all renderers that have a bound for it; exit code 1 if one fails.
+    """Each hard case by all renderers that have a bound for it.
 
-    n is the number of columns that are compared.
+    The exit code is 1 if a case fails. n is the number of columns that are
+    compared.
     """
     rows: list[Row] = []
     asked = [

@@ -1,4 +1,4 @@
-"""Match photos to a store of places through the Python API: python match_query.py STORE.h5 PHOTO...
+"""Match photos to a store of places through the Python API: python match_photo.py STORE.h5 PHOTO...
 
 The store is one that `skyline build DEM -o STORE.h5` made. The photos are 60 degrees wide; leave
 ``fov_deg`` out for photos whose EXIF data has the field of view.
@@ -21,5 +21,5 @@ def main(store: str, photos: list[str]) -> None:
 
 if __name__ == "__main__":
     if len(sys.argv) < 3:
-        sys.exit("usage: python match_query.py STORE.h5 PHOTO...")
+        sys.exit("usage: python match_photo.py STORE.h5 PHOTO...")
     main(sys.argv[1], sys.argv[2:])

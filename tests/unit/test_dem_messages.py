@@ -1,0 +1,487 @@
+"""What is said of elevation models, maps and boxes: each refusal in one line, each warning."""
+
+import gzip
+import math
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import rasterio
+import xarray
+from dem_scenes import (
+    SIZE,
+    WHOLE,
+    array_of,
+    clutter,
+    colours,
+    depths,
+    east,
+    in_feet,
+    in_unit,
+    mountains,
+    packed,
+    side_by_side,
+    tile_at,
+    west_tile,
+)
+from pyproj import CRS
+from rasterio.transform import Affine, from_origin
+from refusals import assert_says
+from scenes import FRAME, UTM, field_of, write_dem
+
+from skyline.errors import MissingFileError
+from skyline.geodesy.bounds import check_bounds
+from skyline.geodesy.map_frame import Frame
+from skyline.terrain.dem import read_dem
+from skyline.terrain.field_files import save_field
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.provenance import DemOptions
+
+ONES = np.ones((4, 4), np.int16)
+IN_UTM = DemOptions(crs=UTM)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A folder with one tile, a.tif."""
+    return west_tile(tmp_path / "dems")
+
+
+class TestFiles:
+    @pytest.mark.parametrize(
+        ("given", "said"),
+        [
+            ([], "no DEM file"),
+            ("", "without a name"),
+            (None, "HeightField itself an array"),
+            (b"a.tif", "HeightField itself an array"),
+            (np.ones((4, 4)), "HeightField itself an array"),
+            (np.array(1.0), "HeightField itself an array"),
+            ([None], "HeightField itself an array"),
+        ],
+        ids=repr,
+    )
+    def test_what_names_no_file(self, given, said):
+        assert_says(said, lambda: read_dem(given))
+
+    @pytest.mark.parametrize(
+        ("name", "said"),
+        [
+            ("no.tif", r"no\.tif"),
+            ("x" * 300 + ".tif", "no file"),
+            ("*.tif", "name its folder, or the files"),
+        ],
+    )
+    def test_files_that_are_not_there(self, tmp_path, name, said):
+        assert_says(said, lambda: read_dem(tmp_path / name), MissingFileError)
+
+    def test_a_folder_without_elevation_files(self, tmp_path):
+        assert_says("has no elevation files", lambda: read_dem(tmp_path))
+        (tmp_path / "._a.tif").write_bytes(b"hidden")
+        (tmp_path / "b.tif").mkdir()
+        assert_says("has no elevation files", lambda: read_dem(tmp_path))
+        (tmp_path / "README.txt").write_text("tiles of the east")
+        said = r"no elevation files among README\.txt; name"
+        assert_says(said, lambda: read_dem(tmp_path))
+
+    @pytest.mark.parametrize("name", ["c.tif", "gone.img"])
+    def test_a_link_to_nothing(self, folder, name):
+        (folder / name).symlink_to(folder / "nothing")
+        assert_says(f"{name} is a link", lambda: read_dem(folder), MissingFileError)
+
+    @pytest.mark.parametrize("content", [b"hello", b""])
+    def test_not_a_raster(self, tmp_path, content):
+        (tmp_path / "a.tif").write_bytes(content)
+        assert_says("cannot be read as a raster", lambda: read_dem(tmp_path / "a.tif"))
+
+    def test_gdal_prints_nothing(self, tmp_path):
+        path = write_dem(tmp_path / "a.tif", np.ones((300, 300), np.int16), compress="deflate")
+        path.write_bytes(path.read_bytes()[:600])
+        assert_says(r"a\.tif cannot be read as a raster", lambda: read_dem(path))
+        program = f"""
+from skyline import InputError, read_dem
+try:
+    read_dem({str(path)!r})
+except InputError as error:
+    raise SystemExit(error.exit_code)
+"""
+        done = subprocess.run([sys.executable, "-c", program], capture_output=True, check=False)
+        assert (done.returncode, done.stdout, done.stderr) == (2, b"", b"")
+
+    def test_damaged_gzip(self, tmp_path):
+        path, good = tmp_path / "N0E0.hgt.gz", gzip.compress(bytes(2 * 1201**2), 1)
+        for content, said in (
+            (b"not gzip", "cannot be unpacked"),
+            (good[: len(good) // 2], "cannot be unpacked"),
+            (good[:-300] + bytes(300), "cannot be unpacked"),
+            (b"", "is empty; fetch it again"),
+            (gzip.compress(b"short"), "cannot be read as a raster"),
+        ):
+            path.write_bytes(content)
+            assert_says(said, lambda: read_dem(path))
+
+    def test_several_rasters_in_one_file(self, tmp_path, shared_data):
+        lakes = tmp_path / "lakes.nc"
+        lakes.symlink_to(shared_data / "sierra" / "lakes_topo.nc")
+        assert_says(f"name one of them: netcdf:{lakes}:dem", lambda: read_dem(lakes))
+        assert_says(r"several rasters \(netcdf:.*:dem.* name its", lambda: read_dem(tmp_path))
+        assert_says("cannot be read", lambda: read_dem(f"netcdf:{lakes}:nothing"))
+
+    def test_a_saved_field_that_is_cut_short(self, tmp_path):
+        path = tmp_path / "dem.terrain"
+        save_field(field_of(mountains()), path)
+        path.write_bytes(path.read_bytes()[:-3000])
+        said = "holds no elevation model that skyline saved"
+        assert_says(said, lambda: read_dem(path))
+
+
+class TestRasters:
+    @pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+    @pytest.mark.parametrize(
+        ("heights", "options", "crs", "said"),
+        [
+            (np.ones((4, 4, 2), np.int16), {}, None, r"a\.tif has 2 bands"),
+            (ONES, {"crs": None}, None, "--crs"),
+            (ONES, {"crs": None}, "EPSG:99999", "not understood"),
+            (ONES, {"crs": None}, "rubbish", "not understood"),
+            (ONES, {"transform": Affine.identity()}, None, "no georeference"),
+            (ONES, {"crs": "EPSG:4978"}, None, "Geocentric"),
+            (ONES, {"transform": Affine(30.0, 5.0, 0.0, 5.0, -30.0, 0.0)}, None, "gdalwarp"),
+            (
+                ONES,
+                {"transform": from_origin(10.0, 10.0, 0.01, 0.01), "crs": "IAU_2015:30100"},
+                None,
+                "Moon",
+            ),
+            (
+                np.full((4, 4), -9999.0, np.float32),
+                {"nodata": -9999.0},
+                None,
+                "all samples are nodata",
+            ),
+            (ONES.astype(np.complex64), {}, None, "expected real heights"),
+            (ONES - 32000, {}, None, "beyond 30000 m"),
+            (
+                ONES,
+                {"transform": Affine(np.nan, 0.0, 0.0, 0.0, np.nan, 0.0)},
+                None,
+                "no georeference",
+            ),
+        ],
+    )
+    def test_that_are_no_dem(self, tmp_path, heights, options, crs, said):
+        path = write_dem(tmp_path / "a.tif", heights, **options)
+        assert_says(said, lambda: read_dem(path, DemOptions(crs=crs)))
+
+    def test_of_colours_with_an_alpha_band(self, tmp_path):
+        assert_says("has 4 bands", lambda: read_dem(colours(tmp_path / "a.tif")))
+
+    @pytest.mark.parametrize(
+        ("text", "options", "said"),
+        [
+            # GDAL places a grid without both corners at 0, 0 and says nothing.
+            (
+                "ncols 2\nnrows 2\nxllcenter 5e5\nyllcorner 5e6\ncellsize 30\n1 2\n3 4\n",
+                IN_UTM,
+                "lacks a corner",
+            ),
+            (
+                "ncols 2\nnrows 2\nxllcorner 5e5\nyllcorner 5e6\ncellsize 30\n1 2\n3 4\n",
+                DemOptions(),
+                "--crs",
+            ),
+            # GDAL reads these points as a grid with zeros between them.
+            (
+                "".join(f"{x} {y} 5\n" for y in range(5) for x in (0, 1, 30, 47)),
+                IN_UTM,
+                "lie apart on a grid of 5 x 48",
+            ),
+        ],
+    )
+    def test_of_text(self, tmp_path, text, options, said):
+        path = tmp_path / ("a.asc" if text.startswith("ncols") else "a.txt")
+        path.write_text(text)
+        assert_says(said, lambda: read_dem(path, options))
+
+    def test_with_a_scale_of_zero(self, tmp_path):
+        path = write_dem(tmp_path / "a.tif", ONES)
+        with rasterio.open(path, "r+") as dataset:
+            dataset.scales = (0.0,)
+        assert_says("has the scale 0", lambda: read_dem(path))
+
+    @pytest.mark.parametrize("unit", ["degree", "m/s", "m²", "10 cm", "1"])
+    def test_in_a_unit_that_is_no_known_length(self, tmp_path, unit):
+        path = in_unit(tmp_path / "dem.tif", unit, np.ones((2, 2), np.float32))
+        assert_says(f"are in {unit!r}", lambda: read_dem(path))
+
+    @pytest.mark.parametrize(
+        ("crs", "corner", "said"),
+        [
+            ('LOCAL_CS["mine",UNIT["metre",1]]', (0.0, 0.0), "expected a geographic or projected"),
+            ("EPSG:2985", (3e5, 2e5), "PROJ cannot transform"),
+            ("EPSG:4326", (500_000.0, 5_200_000.0), "no place in WGS 84"),
+            (UTM, (1e9, 5e6), "no place in WGS 84 / UTM zone 32N"),
+        ],
+    )
+    def test_whose_places_cannot_be_known(self, tmp_path, crs, corner, said):
+        transform = from_origin(*corner, 1e-3, 1e-3)
+        path = write_dem(tmp_path / "a.tif", ONES, crs, transform=transform)
+        assert_says(said, lambda: read_dem(path))
+
+
+class TestTiles:
+    @pytest.mark.parametrize(
+        ("transform", "crs", "said"),
+        [
+            (from_origin(500_165.0, 5_200_000.0, 30.0, 30.0), UTM, "0.50 columns off"),
+            (from_origin(500_150.0, 5_200_000.0, 10.0, 10.0), UTM, "spacing of 10 x 10"),
+            (from_origin(500_150.0, 5_200_000.0, 30.0, 30.0), "EPSG:32633", "zone 33N"),
+            (from_origin(900_500_000.0, 5_200_000.0, 30.0, 30.0), UTM, "spans"),
+        ],
+    )
+    def test_that_do_not_fit(self, tmp_path, transform, crs, said):
+        heights = np.ones((200, 5), np.float32)
+        first = tile_at(tmp_path, heights, 0, 0)
+        second = write_dem(tmp_path / "b.tif", heights, crs, transform=transform)
+        assert_says(said, lambda: read_dem([first, second]))
+
+    def test_above_the_geoid_and_above_the_ellipsoid(self, tmp_path):
+        above_ellipsoid = CRS.from_epsg(32632).to_3d().to_wkt()
+        tiles = side_by_side(tmp_path, ("EPSG:32632+5773", "m"), (above_ellipsoid, "m"))
+        assert_says("above the geoid and .* above the ellipsoid", lambda: read_dem(tiles))
+
+    def test_under_a_raster_of_other_values(self, folder):
+        east(folder / "b.tif")
+        east(folder / "c_slope.tif", np.full((SIZE, SIZE), 30.0, np.float32))
+        said = r"c_slope\.tif covers the same ground as .* name the"
+        assert_says(said, lambda: read_dem(folder))
+
+
+def damaged_zip(folder):
+    packed(folder / "b.zip", east(folder / "b.tif", compress=None))
+    content = bytearray((folder / "b.zip").read_bytes())
+    content[content.index(b"b.tif") + 400] ^= 255
+    (folder / "b.zip").write_bytes(content)
+
+
+DOUBTS = {
+    "cut short": lambda folder: (folder / "b").write_bytes((folder / "a.tif").read_bytes()[:100]),
+    "empty": lambda folder: (folder / "b.tif").write_bytes(b""),
+    "a page": lambda folder: (folder / "N46E010.hgt").write_text("<html>no</html>"),
+    "no archive": lambda folder: (folder / "b.hgt.zip").write_text("<html>no</html>"),
+    "damaged archive": damaged_zip,
+    "not unpacked": lambda folder: (folder / "b.7z").write_bytes(b"7z\xbc\xaf\x27\x1c" + bytes(99)),
+    "points off a grid": lambda folder: (folder / "b.xyz").write_text(
+        "0 0 5\n1 0 5\n0 7 5\n16 7 5\n"
+    ),
+    "short samples": lambda folder: east(folder / "b.bil", driver="EHdr").write_bytes(bytes(99)),
+    "no place": lambda folder: write_dem(
+        folder / "b.tif", WHOLE, None, transform=rasterio.Affine.identity()
+    ),
+}
+
+
+@pytest.mark.parametrize("doubt", DOUBTS)
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+def test_a_file_that_may_be_a_tile_stops_the_folder_and_is_named(folder, doubt):
+    DOUBTS[doubt](folder)
+    assert_says(r"dems/(b|N46E010)", lambda: read_dem(folder, IN_UTM))
+
+
+class TestArrays:
+    @pytest.mark.parametrize(
+        ("array", "options", "said"),
+        [
+            (array_of(), None, "no coordinate reference system"),
+            (array_of("row", "column"), IN_UTM, "expected y, x or lat, lon"),
+            (array_of().drop_vars("x"), IN_UTM, "no coordinates along x"),
+            (
+                array_of().assign_coords(x=array_of().x.assign_attrs(units="km")),
+                IN_UTM,
+                "along x in 'km'",
+            ),
+            (array_of().isel(y=[0, 1, 3, 4]), IN_UTM, "along y that are not even"),
+            (array_of() * np.nan, IN_UTM, "holds no height"),
+            (
+                array_of().assign_coords(
+                    spatial_ref=xarray.DataArray(0, attrs={"grid_mapping_name": "unheard_of"})
+                ),
+                None,
+                "is not understood",
+            ),
+        ],
+        ids=lambda value: value if isinstance(value, str) else "",
+    )
+    def test_that_are_no_dem(self, array, options, said):
+        assert_says(said, lambda: HeightField.from_xarray(array, options))
+
+    @pytest.mark.parametrize("read", [HeightField.from_rasterio, HeightField.from_xarray, read_dem])
+    @pytest.mark.parametrize("given", [b"a.tif", array_of().to_dataset()], ids=["bytes", "Dataset"])
+    def test_of_another_type(self, read, given):
+        said = f"is of type {type(given).__name__}; read_dem takes"
+        assert_says(said, lambda: read(given))
+
+    def test_of_a_dataset_that_is_closed(self, tmp_path):
+        with rasterio.open(write_dem(tmp_path / "a.tif", ONES)) as dataset:
+            pass
+        said = "from_rasterio an open rasterio dataset"
+        assert_says(said, lambda: HeightField.from_rasterio(dataset))
+
+    @pytest.mark.parametrize(
+        ("corner_and_steps", "frame", "said"),
+        [
+            ((np.nan, 0.0, 30.0, 30.0), FRAME, "the first sample is at nan"),
+            ((9.0, 47.0, 1 / 3600, 1 / 3600), FRAME, "grid in degrees needs a CRS in degrees"),
+            (
+                (1.09e6, 5.9e6, 30.0, 30.0),
+                Frame.from_crs("EPSG:3857"),
+                r"EPSG:3857 slopes .* wrong by up to 10\.8",
+            ),
+        ],
+    )
+    def test_on_a_grid_that_is_none(self, corner_and_steps, frame, said):
+        assert_says(said, lambda: HeightField(np.zeros((3, 3)), *corner_and_steps, frame))
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {},
+        {"lon": 9.9},
+        {"easting_m": 1.0, "lat": 46.8},
+        {"easting_m": 1.0, "northing_m": 1.0, "lon": 9.9, "lat": 46.8},
+    ],
+)
+def test_half_a_place_or_two(given):
+    said = f"a place is given by {', '.join(given) or 'nothing'}; expected easting_m"
+    assert_says(said, lambda: field_of(np.zeros((3, 3))).height_at(**given))
+
+
+@pytest.mark.parametrize(
+    ("crs", "said"),
+    [("EPSG:4326", "metric"), ("EPSG:2227", "metric"), ("rubbish", "not understood")],
+)
+def test_a_crs_that_is_not_metric_is_no_frame(crs, said):
+    assert_says(said, lambda: Frame.from_crs(crs))
+
+
+@pytest.mark.parametrize(
+    "bounds",
+    [(180, 1, -180, 2), (9, 1, 9, 2), (9, 1, 8, 2), (179, 1, 181, 2), (math.nan, 1, 2, 3)],
+)
+def test_bounds_that_are_no_box(bounds):
+    assert_says("longitudes from -180 to 180", lambda: check_bounds(bounds))
+
+
+class TestWarnings:
+    def test_files_without_heights_are_listed(self, folder, caplog):
+        clutter(folder)
+        read_dem(folder)
+        assert caplog.messages == [
+            f"{folder}: 11 files are left out, which are no rasters of heights: README.txt, "
+            "Thumbs.db, b_hillshade.tif and 1 more .tif, item.json, note0.md and 2 more .md, "
+            "peaks.csv, thumbnail.jpg, tracks.gpkg; name one to have it read"
+        ]
+
+    def test_a_link_to_nothing_that_is_no_tile(self, folder, caplog):
+        (folder / "gone.txt").symlink_to(folder / "nothing")
+        read_dem(folder)
+        assert "gone.txt" in caplog.text
+
+    def test_a_crs_that_is_not_needed(self, tmp_path, caplog):
+        read_dem(write_dem(tmp_path / "a.tif", ONES), DemOptions(crs="EPSG:32633"))
+        assert "--crs WGS 84 / UTM zone 33N is only for files that name none" in caplog.text
+
+    @pytest.mark.parametrize(
+        ("crs", "place", "error_deg"),
+        [
+            ("EPSG:3035", (10.0, 46.5), 0.12),
+            ("EPSG:3413", (15.0, 78.0), 0.56),
+            ("EPSG:3857", (9.8, 46.8), 10.8),
+            ("EPSG:3857", (37.3, -0.5), 0.38),
+        ],
+    )
+    def test_a_map_of_wrong_slopes_is_warped(self, tmp_path, caplog, crs, place, error_deg):
+        x, y = Frame.from_crs(crs).from_lonlat(*place)
+        corner = from_origin(float(x) - 750.0, float(y) + 750.0, 30.0, 30.0)
+        heights = np.ones((50, 50), np.float32)
+        read_dem(write_dem(tmp_path / "dem.tif", heights, crs, transform=corner))
+        assert "is warped to the local conformal frame" in caplog.text
+        said_deg = float(caplog.text.split(" wrong by up to ")[1].split()[0])
+        assert said_deg == pytest.approx(error_deg, rel=0.05, abs=0.01)
+
+    def test_a_real_map_of_wrong_slopes(self, shared_data, caplog):
+        read_dem(shared_data / "sierra" / "sierra_ansel_adams_30m_albers.tif")
+        assert "slopes and directions are wrong by up to 1.11 degrees" in caplog.text
+
+    def test_a_map_whose_axes_point_south(self, tmp_path, caplog):
+        corner = from_origin(-750_000.0, -1_040_000.0, 30.0, 30.0)
+        heights = np.ones((50, 50), np.float32)
+        read_dem(write_dem(tmp_path / "dem.tif", heights, "EPSG:5513", transform=corner))
+        assert "south" in caplog.text
+        assert "is warped to the local conformal frame" in caplog.text
+
+    def test_heights_whose_unit_or_sense_is_assumed(self, tmp_path, caplog):
+        read_dem(in_feet(tmp_path / "feet.tif"))
+        said = "is the US survey foot and none is named for heights; metres are assumed"
+        assert said in caplog.text
+        read_dem(depths(tmp_path / "depths.tif"))
+        assert "values are depths, positive downward" in caplog.text
+
+    @pytest.mark.parametrize(
+        ("other", "said"),
+        [("EPSG:32632+5783", "DHHN92 height"), (UTM, "a datum that is not named")],
+    )
+    def test_tiles_of_other_datums(self, tmp_path, caplog, other, said):
+        read_dem(side_by_side(tmp_path, (other, "m"), ("EPSG:32632+5773", "m")))
+        assert said in caplog.text
+        assert "EGM96 height" in caplog.text
+
+    def test_tiles_that_disagree(self, tmp_path, caplog):
+        first, other = (np.full((5, 5), height_m, np.float32) for height_m in (10.0, 42.0))
+        read_dem([tile_at(tmp_path, other, 4, 0), tile_at(tmp_path, first, 0, 0)])
+        assert "up to 32.00 m" in caplog.text
+
+    @pytest.mark.parametrize(("raised_m", "said"), [(20.0, "above"), (-20.0, "below")])
+    @pytest.mark.parametrize(("row", "col"), [(0, 80), (0, -80), (80, 0), (-80, 0)])
+    def test_tiles_that_meet_at_a_wall(self, tmp_path, caplog, row, col, raised_m, said):
+        read_dem(rough_tiles(tmp_path, row, col, raised_m))
+        (line,) = caplog.messages
+        assert float(line.split(" stands ")[1].split()[0]) == pytest.approx(20.0, abs=2.0)
+        assert said in line
+
+    @pytest.mark.parametrize("raised_m", [20.0, -20.0])
+    @pytest.mark.parametrize(("row", "col"), [(0, 79), (-79, 0)])
+    def test_tiles_that_overlap_and_differ(self, tmp_path, caplog, row, col, raised_m):
+        read_dem(rough_tiles(tmp_path, row, col, raised_m))
+        (line,) = caplog.messages
+        assert "differs by up to 20.00 m" in line
+
+    @pytest.mark.parametrize(
+        ("row", "col"), [(0, 80), (0, -80), (80, 0), (-80, 0), (0, 79), (-79, 0)]
+    )
+    def test_tiles_that_meet_as_one_terrain_are_not_named(self, tmp_path, caplog, row, col):
+        read_dem(rough_tiles(tmp_path, row, col, 0.0))
+        assert caplog.messages == []
+
+    def test_fill_and_heights_of_no_ground(self, tmp_path, caplog):
+        heights = mountains()
+        for values, said in (
+            (np.where(np.arange(200) < 30, np.float32(0.0), heights), "exactly 0 m"),
+            (10.0 * heights, "more than any ground on Earth"),
+            (heights - 3000.0, "the bed of a sea"),
+        ):
+            read_dem(write_dem(tmp_path / "dem.tif", values))
+            assert said in caplog.text
+            caplog.clear()
+
+
+def rough_tiles(folder, row, col, raised_m):
+    """Write two tiles of 80 x 80 of rough terrain, the second raised; return their paths."""
+    rng, place = np.random.default_rng(4), np.arange(160)
+    rough = 30.0 * place[:, np.newaxis] + 15.0 * place + rng.normal(0.0, 2.0, (160, 160))
+    north, west = max(0, -row), max(0, -col)
+    first = rough[north : north + 80, west : west + 80]
+    second = rough[north + row :, west + col :][:80, :80] + raised_m
+    return [tile_at(folder, first, 0, 0), tile_at(folder, second, row, col)]
