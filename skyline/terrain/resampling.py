@@ -180,8 +180,7 @@ def _positions(grid: Grid, target: Grid, crs: CRS, frame: Frame) -> _Positions:
 
     It interpolates between nodes where that is exact to `POSITION_TOLERANCE`.
     """
-    from scipy.interpolate import RectBivariateSpline # noqa: PLC0415 (a fifth of a second, seldom
-    needed)
+    from scipy.interpolate import RectBivariateSpline  # noqa: PLC0415  (slow to load, seldom needed)
 
     to_source = transformer(frame.crs, crs)
     turn = full_turn(crs)
