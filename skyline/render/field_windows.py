@@ -15,16 +15,16 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from skyline.arrays import Float32Array, Float64Array, UInt8Array
+from skyline.arrays import BoolArray, Float32Array, Float64Array
 from skyline.errors import ContextError
 from skyline.render.context import GlContext
 from skyline.skylines import HEADINGS
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.slab_tree import (
     MAX_LEVELS,
-    SLABS,
     blocks_before,
     fill_levels,
+    fill_mark_levels,
     level_count,
     level_shapes,
 )
@@ -201,13 +201,12 @@ class WindowTextures:
         with ThreadPoolExecutor(_TREES_AT_ONCE) as pool:
             found = pool.map(lambda quadrant: triangles.entries(*quadrant), quadrants)
             marks = {
-                quadrant: one[1:-1, 1:-1].view(np.uint8)
-                for quadrant, one in zip(quadrants, found, strict=True)
+                quadrant: one[1:-1, 1:-1] for quadrant, one in zip(quadrants, found, strict=True)
             }
             return self._trees_of_marks(marks, pool)
 
     def _trees_of_marks(
-        self, marks: Mapping[tuple[bool, bool], UInt8Array], pool: Executor
+        self, marks: Mapping[tuple[bool, bool], BoolArray], pool: Executor
     ) -> Trees:
         """Build the trees of marks.
 
@@ -220,15 +219,13 @@ class WindowTextures:
 
         def build(heading: int) -> None:
             axis = heading % 2
-            whole = [np.empty((*shape, SLABS), np.uint8) for shape in shapes[axis]]
+            whole = [level[..., 0] for level in atlas.levels(heading)]
             middle = SLOPE_BINS // 2
             for grows, bins in ((False, slice(middle)), (True, slice(middle, None))):
                 seen = marks[_quadrant(heading, grows)]
                 some = slopes[axis][bins.start : (bins.stop or SLOPE_BINS) + 1]
                 levels = [level[bins] for level in whole]
-                fill_levels(np.ascontiguousarray(seen.T if axis else seen), some, levels)
-            for level, filled in zip(atlas.levels(heading), whole, strict=True):
-                level[:] = np.packbits(filled, axis=-1, bitorder="little")
+                fill_mark_levels(seen.T if axis else seen, some, levels)
 
         list(pool.map(build, HEADINGS))
         return atlas.upload(self._ctx, [blocks_before(slopes[one % 2]) for one in HEADINGS])

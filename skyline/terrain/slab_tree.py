@@ -13,15 +13,14 @@ greatest height, and codes of 16 bits are compared four times as fast as heights
 
 import itertools
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from skyline.arrays import Float64Array
+from skyline.arrays import BoolArray, Float64Array, IntArray, UInt8Array
 
-Codes = NDArray[Any]
-"""uint16 codes of heights, or uint8 marks; 0 where there is nothing."""
+Codes = NDArray[np.uint16]
+"""uint16 codes of heights, 0 where there is nothing."""
 
 SLABS = 8
 """Slabs in a band: the children of a node of the tree."""
@@ -121,18 +120,83 @@ def _fill_level(source: Codes, step: int, slab: int, slopes: Float64Array, level
     padded = np.zeros((SLABS, bands, (blocks + 2 * first_block + 2) * ratio), source.dtype)
     padded[..., 2 * first_block * ratio :][..., : by_child.shape[2]] = by_child
     spans = _Spans(padded, ratio, blocks)
-    for index, (lower, upper) in enumerate(itertools.pairwise(slopes)):
-        least = lower - _SLACK_SLOPE
-        most = upper + _SLACK_SLOPE
-        for child in range(SLABS):
-            # Rays that start within one block sweep these cells between the child's two ends.
-            low = min(least * child, least * (child + 1)) * slab - _SLACK_CELLS
-            high = slab + max(most * child, most * (child + 1)) * slab + _SLACK_CELLS
-            # The columns that these touch: a single sample lies at an end of cells.
-            first = int(np.floor(low / width))
-            past = int(np.ceil(high / width)) + (step == 0)
+    for index, bin_slopes in enumerate(itertools.pairwise(slopes)):
+        for child, (first, past) in enumerate(_swept(bin_slopes, step, slab)):
             start = first + first_block * ratio
             spans.write_maxima(child, start, past - first, level[index, :, :, child])
+
+
+def _swept(slopes: tuple[float, float], step: int, slab: int) -> list[tuple[int, int]]:
+    """Return the columns that rays of a bin sweep in each slab of a band.
+
+    The rays start within one block. The columns are the first and the one past the last, from the
+    block's beginning. They are single samples (step 0) or spans of ``step`` cells.
+    """
+    least = slopes[0] - _SLACK_SLOPE
+    most = slopes[1] + _SLACK_SLOPE
+    width = max(step, 1)
+    swept = []
+    for child in range(SLABS):
+        # Rays sweep these cells between the child's two ends.
+        low = min(least * child, least * (child + 1)) * slab - _SLACK_CELLS
+        high = slab + max(most * child, most * (child + 1)) * slab + _SLACK_CELLS
+        # The columns that these touch: a single sample lies at an end of cells.
+        swept.append((int(np.floor(low / width)), int(np.ceil(high / width)) + (step == 0)))
+    return swept
+
+
+def fill_mark_levels(marks: BoolArray, slopes: Float64Array, levels: Sequence[UInt8Array]) -> None:
+    """Write the levels of the tree of a few marks (lines, columns).
+
+    ``levels`` are zeros (bins, bands, blocks). A bit is set for each slab in which a ray meets a
+    mark, the lowest bit for the first slab. Work grows with the number of marks, which is small
+    where holes have short rims.
+    """
+    line, column = np.nonzero(marks)
+    slabs = max(-(-(len(marks) - 1) // LEAF_STRIPS), 1)
+    # A line between two slabs belongs to both.
+    is_shared = (line % LEAF_STRIPS == 0) & (line > 0)
+    slab_of = np.concatenate([line // LEAF_STRIPS, line[is_shared] // LEAF_STRIPS - 1])
+    column = np.concatenate([column, column[is_shared]])[slab_of < slabs]
+    slab_of = slab_of[slab_of < slabs]
+    slab = LEAF_STRIPS
+    step = 0
+    for number, level in enumerate(levels):
+        if number:
+            if step == 0:
+                # A sample lies at an end of two cells.
+                slab_of = np.concatenate([slab_of, slab_of[column > 0]])
+                column = np.concatenate([column, column[column > 0] - 1])
+            column //= slab // max(step, 1)
+            places = np.unique(np.stack([slab_of // SLABS, column]), axis=1)
+            slab_of, column = places
+            step = slab
+            slab *= SLABS
+        _mark_level(slab_of, column, step, slab, slopes, level)
+
+
+def _mark_level(
+    slab_of: IntArray,
+    column: IntArray,
+    step: int,
+    slab: int,
+    slopes: Float64Array,
+    level: UInt8Array,
+) -> None:
+    """Set the bits of slabs in which rays meet a mark, given by its slab and column."""
+    ratio = slab // max(step, 1)
+    blocks = level.shape[2]
+    band, child = np.divmod(slab_of, SLABS)
+    bit = np.left_shift(np.uint8(1), child.astype(np.uint8))
+    for index, bin_slopes in enumerate(itertools.pairwise(slopes)):
+        first, past = np.array(_swept(bin_slopes, step, slab)).T
+        # The last block whose rays meet the mark, and the last before the first such block.
+        last = (column - first[child]) // ratio + blocks_before(slopes)
+        before = (column - past[child]) // ratio + blocks_before(slopes)
+        for back in range(int((last - before).max(initial=0))):
+            block = last - back
+            meets = (block > before) & (block >= 0) & (block < blocks)
+            np.bitwise_or.at(level[index], (band[meets], block[meets]), bit[meets])
 
 
 class _Spans:

@@ -8,6 +8,7 @@ from skyline.terrain.slab_tree import (
     SLABS,
     blocks_before,
     fill_levels,
+    fill_mark_levels,
     level_count,
     level_shapes,
 )
@@ -60,3 +61,17 @@ def test_a_slab_has_the_greatest_code_that_its_rays_sweep(lines, columns):
             past = max(int(np.ceil(high + 0.03)) + 1, 0)
             swept = strip[:, first:past]
             assert maxima[0, band, block, child] == swept.max(initial=0)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (2, 3), (3, 2), (17, 40), (130, 65), (300, 517)])
+@pytest.mark.parametrize("slopes", [(-1.0, 0.0, 8), (0.0, 0.7, 8), (-3.2, 3.2, 16)])
+@pytest.mark.parametrize("share", [0.0, 0.002, 0.3])
+def test_the_tree_of_marks_is_that_of_their_codes(shape, slopes, share):
+    marks = np.random.default_rng(11).random(shape) < share
+    bins = np.linspace(slopes[0], slopes[1], slopes[2] + 1)
+    expected = levels_of(marks.astype(np.uint16), bins)
+    found = [np.zeros(level.shape[:3], np.uint8) for level in expected]
+    fill_mark_levels(marks, bins, found)
+    for level, wanted in zip(found, expected, strict=True):
+        bits = np.unpackbits(level[..., np.newaxis], axis=-1, bitorder="little")
+        np.testing.assert_array_equal(bits, wanted)
