@@ -14,6 +14,7 @@ Complex128Array = NDArray[np.complex128]
 Int64Array = NDArray[np.int64]
 IntArray = NDArray[np.intp]
 UInt8Array = NDArray[np.uint8]
+UInt32Array = NDArray[np.uint32]
 BoolArray = NDArray[np.bool_]
 
 Progress = Callable[[int, int], None]

@@ -27,7 +27,7 @@ import numpy as np
 from skyline.arrays import Progress
 from skyline.errors import FetchError, InputError, MissingFileError, SkylineError
 from skyline.fetch.dem_tiles import SOURCES, fetch_dem, source_of
-from skyline.files import lock_file, version_of
+from skyline.files import cache_folder, lock_file, version_of
 from skyline.geodesy.bounds import Bounds, check_bounds, contains_box, width_deg
 from skyline.geodesy.map_frame import TRUE_DEG, Frame
 from skyline.store.layout import SCHEMA_VERSION
@@ -38,6 +38,7 @@ from skyline.terrain.dem import read_dem
 from skyline.terrain.dem_files import Paths, dem_names
 from skyline.terrain.field_files import SUFFIX, save_field
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.kept_models import remove_models
 from skyline.terrain.raster_files import files_of
 
 _SEEN_KM = 30.0
@@ -121,17 +122,6 @@ class CachedArea:
         }
 
 
-def cache_folder() -> Path:
-    """Return ``$SKYLINE_CACHE``, else ``$XDG_CACHE_HOME/skyline``, else ``~/.cache/skyline``."""
-    if given := os.environ.get("SKYLINE_CACHE"):
-        return Path(given).absolute()
-    base = os.environ.get("XDG_CACHE_HOME")
-    # The standard wants relative paths to be left aside.
-    if not base or not Path(base).is_absolute():
-        base = os.path.expanduser("~/.cache")  # noqa: PTH111  (Path raises without a home)
-    return Path(base).absolute() / "skyline"
-
-
 def prepare_area(
     area: Area,
     dem: Paths = (),
@@ -192,10 +182,11 @@ def cached_files() -> set[Path]:
 def clear_cache(print_note: PrintNote = lambda _: None) -> int:
     """Remove all areas, and return their number.
 
-    Areas that another process is making stay.
+    Elevation models that were kept are removed, too. Areas that another process is making stay.
     """
     cleared = 0
     with _explained():
+        remove_models()
         for area in cached_areas():
             with hold_area(area.folder) as is_alone:
                 if not is_alone:
@@ -319,7 +310,7 @@ def _check_terrain(terrain: HeightField, area: Area, dem: Paths) -> None:
     rows, cols = terrain.to_grid(easting_m=[west, east], northing_m=[north, south])
     top, bottom = np.rint(rows).astype(int)
     left, right = np.rint(cols).astype(int)
-    inside = terrain.heights_m[top : bottom + 1, left : right + 1]
+    inside = terrain.part(slice(top, bottom + 1), slice(left, right + 1))
     if not np.any(np.isfinite(inside) & (inside != 0.0)):
         raise InputError(
             f"round {lon:.4f},{lat:.4f} the elevation model has nothing but sea or holes; give "

@@ -313,3 +313,14 @@ def version_of(path: str | Path) -> tuple[int, int, int] | None:
         return None
     is_file = stat.S_ISREG(known.st_mode)
     return (known.st_size, known.st_mtime_ns, known.st_ctime_ns) if is_file else None
+
+
+def cache_folder() -> Path:
+    """Return ``$SKYLINE_CACHE``, else ``$XDG_CACHE_HOME/skyline``, else ``~/.cache/skyline``."""
+    if given := os.environ.get("SKYLINE_CACHE"):
+        return Path(given).absolute()
+    base = os.environ.get("XDG_CACHE_HOME")
+    # The standard wants relative paths to be left aside.
+    if not base or not Path(base).is_absolute():
+        base = os.path.expanduser("~/.cache")  # noqa: PTH111  (Path raises without a home)
+    return Path(base).absolute() / "skyline"

@@ -380,9 +380,9 @@ def _summit(
     reach_cols = max(1.0, SUMMIT_RADIUS_M / terrain.spacing_east_m)
     top = max(0, math.ceil(row - reach_rows))
     left = max(0, math.ceil(col - reach_cols))
-    near = terrain.heights_m[
-        top : math.floor(row + reach_rows) + 1, left : math.floor(col + reach_cols) + 1
-    ]
+    near = terrain.part(
+        slice(top, math.floor(row + reach_rows) + 1), slice(left, math.floor(col + reach_cols) + 1)
+    )
     if np.isnan(near).all():
         return None
     at_row, at_col = np.unravel_index(np.nanargmax(near), near.shape)

@@ -14,8 +14,6 @@ from pathlib import Path
 from threading import Lock
 
 import numpy as np
-from rasterio.errors import NotGeoreferencedWarning
-from rasterio.io import MemoryFile
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, Progress
 from skyline.errors import InputError, suffix_of
@@ -187,6 +185,9 @@ class PixelPlaces:
             np.savez(file, **dict(zip(_BANDS, arrays, strict=True)), step=self.step, pose=about)
             write_whole(path, file.getvalue())
             return
+        from rasterio.errors import NotGeoreferencedWarning  # noqa: PLC0415  (slow to load)
+        from rasterio.io import MemoryFile  # noqa: PLC0415
+
         height, width = self.lon.shape
         size = {"width": width, "height": height, "count": len(_BANDS), "dtype": "float64"}
         with MemoryFile() as memory, warnings.catch_warnings():

@@ -8,6 +8,7 @@ from skyline.cli.app import command_line, run_app
 from skyline_bench import (
     durability,
     figures,
+    opening,
     orient,
     page,
     paper,
@@ -31,6 +32,7 @@ COMMANDS: Mapping[str, Mapping[Callable[..., None], str]] = {
         durability.store_durability: "an hour",
         durability.input_fuzz: "a minute",
     },
+    "One answer": {opening.opening: "5 minutes"},
     "Search": {command_of(name, search): search.takes for name, search in SEARCHES.items()},
     "Photographs": {
         orient.orient: "20 minutes",

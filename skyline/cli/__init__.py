@@ -34,7 +34,7 @@ COMMANDS = {
         "info": "Describe a DEM, a store, or the OpenGL in use.",
         "explain": "Show which terrain a skyline depends on.",
         "dem": "Fetch the elevation of an area: `dem fetch`.",
-        "cache": "List what `locate` keeps: elevation tiles and stores of areas.",
+        "cache": "List what is kept: areas, and elevation models that were read.",
     },
 }
 """Commands by subject, each with the first line of its own help; each has a module of its name."""

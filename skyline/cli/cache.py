@@ -1,4 +1,4 @@
-"""``skyline cache``: what `locate` keeps."""
+"""``skyline cache``: what is kept for later runs."""
 
 import json
 from datetime import datetime
@@ -7,9 +7,11 @@ from typing import Annotated, Any
 import typer
 from typer import Option
 
-from skyline.cache import cache_folder, cached_areas, clear_cache
+from skyline.cache import cached_areas, clear_cache
 from skyline.cli.options import AsJson
 from skyline.cli.terminal import Terminal
+from skyline.files import cache_folder
+from skyline.terrain.kept_models import kept_bytes
 
 
 def cache(
@@ -17,17 +19,17 @@ def cache(
     clear: Annotated[bool, Option("--clear", help="Remove all of it.")] = False,
     as_json: AsJson = False,
 ) -> None:
-    """List what `locate` keeps: elevation tiles and stores of areas."""
+    """List what is kept: areas, and elevation models that were read."""
     terminal = Terminal.of(context, as_json)
     areas = [one.to_dict() for one in cached_areas()]
-    total = _bytes_of(areas)
+    total = _bytes_of(areas) + kept_bytes()
     if clear:
         count = clear_cache(terminal.note)
-        left = _bytes_of([one.to_dict() for one in cached_areas()])
+        left = _bytes_of([one.to_dict() for one in cached_areas()]) + kept_bytes()
         terminal.line(f"{cache_folder()}: areas removed: {count}, {(total - left) / 1e6:.1f} MB")
         return
     if as_json:
-        about = {"folder": str(cache_folder()), "areas": areas}
+        about = {"folder": str(cache_folder()), "areas": areas, "model_bytes": kept_bytes()}
         terminal.line(json.dumps(about | {"bytes": total}))
         return
     for one in areas:
@@ -37,6 +39,8 @@ def cache(
         box = ",".join(f"{side:g}" for side in one["bounds_deg"])
         changed = datetime.fromisoformat(one["changed"])
         terminal.line(f"{one['origin']} {box}: {tiles}{store}, {changed:%Y-%m-%d %H:%M}")
+    if models := kept_bytes():
+        terminal.line(f"elevation models as they were read: {models / 1e6:.1f} MB")
     terminal.line(f"{cache_folder()}: areas: {len(areas)}, {total / 1e6:.1f} MB")
 
 

@@ -186,7 +186,7 @@ def _near_m(field: HeightField, viewpoints: Viewpoints, index: int) -> float:
     row, col = field.to_grid(easting_m=easting_m, northing_m=northing_m)
     top = max(int(row) - 1, 0)
     left = max(int(col) - 1, 0)
-    around = field.heights_m[top : top + 4, left : left + 4].astype(np.float64)
+    around = field.part(slice(top, top + 4), slice(left, left + 4)).astype(np.float64)
     steps = np.concatenate([np.diff(around, axis=0).ravel(), np.diff(around, axis=1).ravel()])
     steepest = np.hypot(*(2 * [np.nanmax(np.abs(steps), initial=0.0) / field.spacing_m]))
     ground_m = field.height_at(easting_m=easting_m, northing_m=northing_m)

@@ -6,8 +6,8 @@ windows.
 """
 
 import itertools
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,25 +15,32 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from skyline.arrays import Float32Array
+from skyline.arrays import BoolArray, Float32Array, Float64Array
 from skyline.errors import ContextError
 from skyline.render.context import GlContext
 from skyline.skylines import HEADINGS
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.slab_tree import EMPTY, MAX_LEVELS, level_count, slab_levels
+from skyline.terrain.slab_tree import (
+    MAX_LEVELS,
+    blocks_before,
+    fill_levels,
+    fill_mark_levels,
+    level_count,
+    level_shapes,
+)
 from skyline.terrain.triangles import Triangles
 
 SLOPE_BINS = 16
 """Bins of rays' slopes, from the steepest left to the steepest right; each has its own bounds."""
+
+EMPTY = np.float32(-3e38)
+"""The height of a hole, and of what lies off the map."""
 
 _COLUMN_APRON = 4
 """Empty columns beside the samples; COLUMN_APRON of the shader."""
 
 _TREES_AT_ONCE = 2
 """Threads that build trees: NumPy lets them run side by side, and each takes its memory."""
-
-_Tree = Sequence[tuple[NDArray[Any], int]]
-"""By level: texels (bins, bands, blocks, components), and the blocks before column 0."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,77 +165,122 @@ class WindowTextures:
 
         Headings of one axis share a tree.
         """
+        codes = self._coded(heights_m)
+        axes = codes, codes.T
+        slopes = [np.linspace(-most, most, SLOPE_BINS + 1) for most in self.slope_max]
+        atlas = _Atlas([self._shapes(*one) for one in zip(axes, slopes, strict=True)], 4, "<u4")
 
-        def built(seen: Float32Array, steepest: float) -> _Tree:
-            slopes = np.linspace(-steepest, steepest, SLOPE_BINS + 1)
-            tree = slab_levels(np.ascontiguousarray(seen), slopes, self._levels)
-            return [(self._coded(maxima), first_block) for maxima, first_block in tree]
+        def build(tree: int) -> None:
+            levels = [level.view("<u2") for level in atlas.levels(tree)]
+            fill_levels(np.ascontiguousarray(axes[tree]), slopes[tree], levels)
 
         with ThreadPoolExecutor(_TREES_AT_ONCE) as pool:
-            axes = list(pool.map(built, (heights_m, heights_m.T), self.slope_max))
-        return _stacked(self._ctx, axes, "u4")
+            list(pool.map(build, range(len(axes))))
+        return atlas.upload(self._ctx, [blocks_before(one) for one in slopes])
 
-    def _coded(self, maxima: Float32Array) -> NDArray[np.uint32]:
-        """Return (..., 4) words of two codes, rounded up, of (..., 8) heights."""
-        codes = np.maximum(maxima, np.float32(self.lowest_m))
+    def _shapes(self, seen: NDArray[Any], slopes: Float64Array) -> list[tuple[int, int, int]]:
+        lines, columns = seen.shape
+        return level_shapes(lines, columns, slopes, self._levels)
+
+    def _coded(self, heights_m: Float32Array) -> NDArray[np.uint16]:
+        """Return the codes (rows, cols) of heights, rounded up."""
+        codes = np.maximum(heights_m, np.float32(self.lowest_m))
         codes -= np.float32(self.lowest_m)
         codes /= np.float32(self.code_step_m)
         # A fiftieth of a step is more than float32 rounds off.
         codes += np.float32(0.02)
-        words: NDArray[np.uint32] = np.ceil(codes, out=codes).astype("<u2").view("<u4")
-        return words
+        whole: NDArray[np.uint16] = np.ceil(codes, out=codes).astype("<u2")
+        return whole
 
     def _trees_of_rims(self, triangles: Triangles) -> Trees:
         """Mark where rays may meet the surface again.
 
         The triangles have an apron of one.
         """
-
-        def built(heading: int) -> _Tree:
-            steepest = self.slope_max[heading % 2]
-            halves = []
-            for grows, bounds in ((False, (-steepest, 0.0)), (True, (0.0, steepest))):
-                marks = triangles.entries(*_quadrant(heading, grows))[1:-1, 1:-1].view(np.uint8)
-                seen = np.ascontiguousarray(marks.T if heading % 2 else marks)
-                slopes = np.linspace(*bounds, SLOPE_BINS // 2 + 1)
-                halves.append(slab_levels(seen, slopes, self._levels))
-            tree = []
-            for (lower, first_block), (upper, _) in zip(*halves, strict=True):
-                marks = np.concatenate([lower, upper])
-                tree.append((np.packbits(marks, axis=-1, bitorder="little"), first_block))
-            return tree
-
+        quadrants = [(north, east) for north in (False, True) for east in (False, True)]
         with ThreadPoolExecutor(_TREES_AT_ONCE) as pool:
-            return _stacked(self._ctx, list(pool.map(built, HEADINGS)), "u1")
+            found = pool.map(lambda quadrant: triangles.entries(*quadrant), quadrants)
+            marks = {
+                quadrant: one[1:-1, 1:-1] for quadrant, one in zip(quadrants, found, strict=True)
+            }
+            return self._trees_of_marks(marks, pool)
+
+    def _trees_of_marks(
+        self, marks: Mapping[tuple[bool, bool], BoolArray], pool: Executor
+    ) -> Trees:
+        """Build the trees of marks.
+
+        The marks are given by the quadrant into which rays go: north or not, east or not.
+        """
+        axes = marks[False, False], marks[False, False].T
+        slopes = [np.linspace(-most, most, SLOPE_BINS + 1) for most in self.slope_max]
+        shapes = [self._shapes(*one) for one in zip(axes, slopes, strict=True)]
+        atlas = _Atlas([shapes[heading % 2] for heading in HEADINGS], 1, "u1")
+
+        def build(heading: int) -> None:
+            axis = heading % 2
+            whole = [level[..., 0] for level in atlas.levels(heading)]
+            middle = SLOPE_BINS // 2
+            for grows, bins in ((False, slice(middle)), (True, slice(middle, None))):
+                seen = marks[_quadrant(heading, grows)]
+                some = slopes[axis][bins.start : (bins.stop or SLOPE_BINS) + 1]
+                levels = [level[bins] for level in whole]
+                fill_mark_levels(seen.T if axis else seen, some, levels)
+
+        list(pool.map(build, HEADINGS))
+        return atlas.upload(self._ctx, [blocks_before(slopes[one % 2]) for one in HEADINGS])
 
 
-def _stacked(ctx: moderngl.Context, trees: Sequence[_Tree], dtype: str) -> Trees:
-    """Put two or four trees into one texture.
+class _Atlas:
+    """One array of texels for the levels of two or four trees.
 
     If there are two, each serves both headings of an axis. Four stand in two stacks side by side,
     because one stack of four would be higher than a texture may be. A ray that leaves its own tree
     may meet the next one: superfluous marks and bounds cost time, but change no skyline.
     """
-    levels = [texels for tree in trees for texels, _ in tree]
-    width = max(texels.shape[2] for texels in levels)
-    stacks = [trees[first : first + 2] for first in range(0, len(trees), 2)]
-    height = max(
-        sum(len(texels) * texels.shape[1] for tree in stack for texels, _ in tree)
-        for stack in stacks
-    )
-    atlas = np.zeros((height, width * len(stacks), levels[0].shape[3]), levels[0].dtype)
-    places = []
-    for left, stack in zip(itertools.count(0, width), stacks):
-        top = 0
-        for tree in stack:
-            here = []
-            for texels, first_block in tree:
-                rows = texels.reshape(-1, *texels.shape[2:])
-                atlas[top : top + len(rows), left : left + rows.shape[1]] = rows
-                here.append((top, texels.shape[1], left + first_block))
-                top += len(rows)
+
+    def __init__(
+        self, shapes: Sequence[Sequence[tuple[int, int, int]]], components: int, dtype: str
+    ) -> None:
+        """Make room for trees, whose levels have the shapes (bins, bands, blocks)."""
+        width = max(blocks for tree in shapes for _, _, blocks in tree)
+        # By tree, the first row, the first column and the shape of each level.
+        self._levels: list[list[tuple[int, int, tuple[int, int, int]]]] = []
+        height = top = 0
+        for number, tree in enumerate(shapes):
+            stack, place = divmod(number, 2)
+            top = top if place else 0
+            levels = []
+            for shape in tree:
+                levels.append((top, stack * width, shape))
+                top += shape[0] * shape[1]
+            self._levels.append(levels)
+            height = max(height, top)
+        columns = _pitch(width * -(-len(shapes) // 2))
+        self._texels: NDArray[Any] = np.zeros((height, columns, components), dtype)
+
+    def levels(self, tree: int) -> list[NDArray[Any]]:
+        """Return the texels of each level of a tree.
+
+        They are (bins, bands, blocks, components), and are to be written.
+        """
+        found = []
+        for top, left, (bins, bands, blocks) in self._levels[tree]:
+            texels = self._texels[top : top + bins * bands, left : left + blocks]
+            found.append(texels.reshape(bins, bands, blocks, -1))
+        return found
+
+    def upload(self, ctx: moderngl.Context, before: Sequence[int]) -> Trees:
+        """Return the texture and its levels.
+
+        ``before`` has the `blocks_before` of each tree.
+        """
+        places = []
+        for levels, blocks in zip(self._levels, before, strict=True):
+            here = [(top, shape[1], left + blocks) for top, left, shape in levels]
             places.append((*here, *[(0, 0, 0)] * (MAX_LEVELS - len(here))))
-    return Trees(_upload(ctx, atlas, dtype), tuple(places[h % len(places)] for h in HEADINGS))
+        texture = _upload(ctx, self._texels, self._texels.dtype.str[1:])
+        return Trees(texture, tuple(places[heading % len(places)] for heading in HEADINGS))
 
 
 def _quadrant(heading: int, grows: bool) -> tuple[bool, bool]:
@@ -252,7 +304,7 @@ def _with_apron(field: HeightField, window: Window) -> Float32Array:
     left = window.col - 1
     row = max(top, 0)
     col = max(left, 0)
-    part = field.heights_m[row : top + window.rows + 2, col : left + window.cols + 2]
+    part = field.part(slice(row, top + window.rows + 2), slice(col, left + window.cols + 2))
     heights[row - top :, col - left :][: part.shape[0], : part.shape[1]] = part
     return heights
 
@@ -264,26 +316,37 @@ def _columns(ctx: moderngl.Context, heights: Float32Array) -> moderngl.Texture:
     """
     lines, columns = heights.shape
     leaves = max(-(-(lines - 1) // 2), 1)
-    padded = np.full((2 * leaves + 2, columns + 2 * _COLUMN_APRON), EMPTY, dtype=np.float32)
-    padded[:lines, _COLUMN_APRON:-_COLUMN_APRON] = heights
-    texels = np.stack([padded[line : line + 2 * leaves : 2] for line in (0, 1, 2, 2)], axis=-1)
+    inner = slice(_COLUMN_APRON, _COLUMN_APRON + columns)
+    texels = np.full((leaves, _pitch(columns + 2 * _COLUMN_APRON), 4), EMPTY, dtype=np.float32)
+    for component, line in enumerate((0, 1, 2, 2)):
+        seen = heights[line : line + 2 * leaves : 2]
+        texels[: len(seen), inner, component] = seen
     return _upload(ctx, texels, "f4")
+
+
+def _pitch(columns: int) -> int:
+    """Return the width of a texture for some columns.
+
+    It is 16 texels, an odd number of times. It is no power of two, at which neighbouring rows would
+    share lines of the cache.
+    """
+    return (-(-columns // 16) | 1) * 16
 
 
 def _upload(ctx: moderngl.Context, values: NDArray[Any], dtype: str) -> moderngl.Texture:
     """Upload texels (rows, columns, components).
 
-    Columns are padded to a pitch that is no power of two. Raises `ContextError` where OpenGL
-    refuses the texture, which would read as zeros.
+    Columns are filled up to a `_pitch`. Raises `ContextError` where OpenGL refuses the texture,
+    which would read as zeros.
     """
-    # The width is an odd multiple of 16 texels.
-    columns = (-(-values.shape[1] // 16) | 1) * 16
-    padded = np.zeros((values.shape[0], columns, values.shape[2]), values.dtype)
-    padded[:, : values.shape[1]] = values
-    texture = ctx.texture((columns, len(padded)), values.shape[2], padded, dtype=dtype)
+    lines, columns, components = values.shape
+    if missing := _pitch(columns) - columns:
+        values = np.pad(values, ((0, 0), (0, missing), (0, 0)))
+        columns += missing
+    texture = ctx.texture((columns, lines), components, values, dtype=dtype)
     if (error := ctx.error) != "GL_NO_ERROR":
         raise ContextError(
-            f"OpenGL refuses a texture of {columns} x {len(padded)} texels ({error}); free memory "
+            f"OpenGL refuses a texture of {columns} x {lines} texels ({error}); free memory "
             "of the GPU, or give fewer tiles or a coarser DEM"
         )
     texture.filter = (moderngl.NEAREST, moderngl.NEAREST)

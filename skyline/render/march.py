@@ -182,7 +182,7 @@ def _needs_double(
     steps = np.arange(-1, 3)
     rows = np.clip(np.floor(row).astype(np.int64)[:, None] + steps, 0, field.rows - 1)
     cols = np.clip(np.floor(col).astype(np.int64)[:, None] + steps, 0, field.cols - 1)
-    heights = field.heights_m[rows[:, :, None], cols[:, None, :]].astype(np.float64)
+    heights = field.samples_at(rows[:, :, None], cols[:, None, :]).astype(np.float64)
     around = heights - viewpoints.eye_elevation_m[:, None, None]
     relief_m = np.fmax.reduce(np.abs(around), axis=(1, 2))
     slopes = [np.abs(np.diff(around, axis=axis)) for axis in (1, 2)]
@@ -327,8 +327,8 @@ class ColumnRenderer(Renderer):
         """Return whether a window can raise any skyline found so far."""
         rows = slice(window.row, window.row + window.rows)
         cols = slice(window.col, window.col + window.cols)
-        highest_m = float(np.fmax.reduce(self.field.heights_m[rows, cols], axis=None))
-        if np.isnan(highest_m):
+        highest_m = self.field.highest_m(rows, cols)
+        if highest_m == -np.inf:
             return False
         least = self._read(0, len(eyes), "<f4").min(axis=1)
         bound = eyes.greatest_tan(window, highest_m, self.curvature.drop_per_m2)

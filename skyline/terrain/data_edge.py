@@ -47,15 +47,15 @@ class DataEdge:
 
         Beyond it, ranges are taken to go on as high as they are inside.
         """
-        northward = terrain.heights_m[::-1]
         cols = ceil(BAND_M / terrain.spacing_east_m)
         rows = ceil(BAND_M / terrain.spacing_north_m)
+        every = slice(None)
         highest_m = np.stack(
             [
-                _highest(northward[:, :cols].T, rows),
-                _highest(northward[:rows], cols),
-                _highest(northward[:, -cols:].T, rows),
-                _highest(northward[-rows:], cols),
+                _highest(terrain.part(every, slice(cols))[::-1].T, rows),
+                _highest(terrain.part(slice(-rows, None), every), cols),
+                _highest(terrain.part(every, slice(-cols, None))[::-1].T, rows),
+                _highest(terrain.part(slice(rows), every), cols),
             ]
         )
         known = np.where(np.isfinite(highest_m), highest_m, terrain.height_range_m[1])

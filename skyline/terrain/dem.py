@@ -5,15 +5,18 @@ Their samples are put on one grid, repaired, and warped to a metric frame if nee
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from skyline.errors import InputError
 from skyline.terrain.dem_files import Paths, dem_names
 from skyline.terrain.field_files import SUFFIX, read_field
 from skyline.terrain.heightfield import HeightField, field_of
+from skyline.terrain.kept_models import keep_model, kept_model, noted_warnings, place_of
 from skyline.terrain.metric_dem import metric_dem
-from skyline.terrain.mosaic import Mosaic, read_mosaic
 from skyline.terrain.provenance import DemOptions
-from skyline.terrain.raster_tiles import open_tile
+
+if TYPE_CHECKING:
+    from skyline.terrain.mosaic import Mosaic
 
 Dem = Paths | HeightField
 """A model: its file, its tiles, or the height field read from them."""
@@ -63,15 +66,25 @@ def read_dem(paths: Dem, options: DemOptions | None = None) -> HeightField:
     names = dem_names(paths)
     if len(names) == 1 and Path(names[0]).suffix == SUFFIX:
         return read_field(Path(names[0]))
-    return field_of(metric_dem(_read(names, options), options))
+    place = place_of(names, options)
+    if place is None:
+        return field_of(metric_dem(_read(names, options), options))
+    if kept := kept_model(place):
+        return kept
+    with noted_warnings() as warnings:
+        dem = metric_dem(_read(names, options), options)
+    return keep_model(dem, place, warnings)
 
 
-def read_files(paths: Paths, options: DemOptions | None = None) -> Mosaic:
+def read_files(paths: Paths, options: DemOptions | None = None) -> "Mosaic":
     """Read files onto their own common grid, not repaired; otherwise as `read_dem`."""
     return _read(dem_names(paths), options or DemOptions())
 
 
-def _read(names: Sequence[str], options: DemOptions) -> Mosaic:
+def _read(names: Sequence[str], options: DemOptions) -> "Mosaic":
+    from skyline.terrain.mosaic import read_mosaic  # noqa: PLC0415  (rasterio is slow to load)
+    from skyline.terrain.raster_tiles import open_tile  # noqa: PLC0415
+
     default_crs = options.default_crs
     if not names:
         raise InputError("no DEM file was given; name one or more")

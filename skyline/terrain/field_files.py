@@ -1,53 +1,261 @@
-"""Files of saved height fields.
+"""Files of height fields.
 
-They are read in a tenth of the time that DEM files take.
+Samples are mapped into memory, and read when they are first needed.
+A file begins with a line of JSON: the grid, the frame, the provenance and the warnings of the
+reading. Sections follow, each at a multiple of `_PAGE` bytes: facts that take a reading of all
+samples, bounds of the heights by block, checksums of the blocks, the samples, and the source.
+The source are the repaired samples on the grid of the DEM's files. A file that has one may lack
+blocks, which are made from it when they are first needed, and stay in the file.
 """
 
-import io
 import json
-import zipfile
-from dataclasses import asdict, replace
+import logging
+import math
+import os
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass, replace
+from functools import cache, partial
 from pathlib import Path
+from typing import Any, BinaryIO
+from uuid import uuid4
 
 import numpy as np
+from numpy.typing import NDArray
+from pyproj import CRS
 
+from skyline.arrays import Float32Array
 from skyline.errors import InputError, MissingFileError
-from skyline.files import write_whole
 from skyline.geodesy.map_frame import Frame
 from skyline.terrain.grid import Grid
 from skyline.terrain.heightfield import HeightField, field_of
-from skyline.terrain.metric_dem import MetricDem
+from skyline.terrain.lazy_heights import (
+    Blocks,
+    LazyHeights,
+    MakeBlock,
+    Shape,
+    block_counts,
+    block_slices,
+    bounds_of,
+    checksum,
+)
+from skyline.terrain.metric_dem import MetricDem, Source
 from skyline.terrain.provenance import Provenance
+from skyline.terrain.resampling import Warp
 
 SUFFIX = ".terrain"
 """The suffix of the files."""
 
+_FORMAT = "skyline terrain 2"
+_PAGE = 4096
+_FACTS = np.dtype([("digest", "S64"), ("source_sum", "<u4")])
+"""Digest of the field and checksum of the source; empty and 0 where they are not known."""
+
+LoggedWarning = tuple[str, str]
+"""The name of a logger, and a message."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Layout:
+    """Where the sections of a file begin, in bytes."""
+
+    begin: int
+    """The end of the line of JSON."""
+    shape: Shape
+    source_shape: Shape | None
+
+    @classmethod
+    def of(cls, about: Mapping[str, Any], begin: int) -> "_Layout":
+        grid = about["grid"]
+        source = about["source"]
+        shape = None if source is None else (source["grid"]["rows"], source["grid"]["cols"])
+        return cls(begin, (grid["rows"], grid["cols"]), shape)
+
+    @property
+    def counts(self) -> Shape:
+        return block_counts(self.shape)
+
+    @property
+    def facts(self) -> int:
+        return _whole_pages(self.begin)
+
+    @property
+    def bounds(self) -> int:
+        return _whole_pages(self.facts + _FACTS.itemsize)
+
+    @property
+    def sums(self) -> int:
+        return _whole_pages(self.bounds + 8 * math.prod(self.counts))
+
+    @property
+    def samples(self) -> int:
+        return _whole_pages(self.sums + 4 * math.prod(self.counts))
+
+    @property
+    def source(self) -> int:
+        return _whole_pages(self.samples + 4 * math.prod(self.shape))
+
+    @property
+    def end(self) -> int:
+        return self.source + 4 * math.prod(self.source_shape or (0,))
+
+
+def _whole_pages(length: int) -> int:
+    return -(-length // _PAGE) * _PAGE
+
 
 def save_field(field: HeightField, path: Path) -> None:
-    """Write a height field to a file; raises `InputError` as `write_whole`."""
-    about = {"frame": field.frame.wkt, "provenance": asdict(field.provenance)}
-    grid = (field.west_m, field.north_m, field.spacing_east_m, field.spacing_north_m)
-    content = io.BytesIO()
-    np.savez(content, heights_m=field.heights_m, grid=np.array(grid), about=json.dumps(about))
-    write_whole(path, content.getvalue())
+    """Write a height field of float32 samples to a file.
+
+    Raises `InputError` where the file cannot be written.
+    """
+    spacing = field.spacing_east_m, field.spacing_north_m
+    grid = Grid(field.west_m, field.north_m, *spacing, field.rows, field.cols)
+    dem = MetricDem(field.heights_m, grid, field.frame, field.provenance)
+    try:
+        save_dem(dem, path, digest=field.digest)
+    except OSError as error:
+        raise InputError(
+            f"{path} cannot be written ({error.strerror}); make room for it"
+        ) from error
 
 
-def read_field(path: Path) -> HeightField:
-    """Return the height field that `save_field` wrote, to the bit.
+def save_dem(
+    dem: MetricDem, path: Path, warnings: Sequence[LoggedWarning] = (), digest: str = ""
+) -> None:
+    """Write a DEM that was read.
 
-    Raises `MissingFileError` where there is no file, and `InputError` for any other file.
+    Its source is written if it has one, else its samples. `read_field` logs the warnings again.
+    Raises `OSError` where the file cannot be written; it is written whole or not at all.
+    """
+    about = {
+        "format": _FORMAT,
+        "grid": asdict(dem.grid),
+        "frame": dem.frame.wkt,
+        "provenance": asdict(dem.provenance),
+        "warnings": list(warnings),
+        "source": None if dem.source is None else dem.source.warp.to_dict(),
+    }
+    head = json.dumps(about).encode() + b"\n"
+    layout = _Layout.of(about, len(head))
+    facts = np.zeros(1, _FACTS)
+    facts["digest"] = digest.encode()
+    sections: dict[int, NDArray[Any]] = {layout.facts: facts}
+    if dem.source is not None:
+        facts["source_sum"] = checksum(dem.source.heights_m)
+        sections[layout.bounds] = dem.source.bounds_m
+        sections[layout.source] = dem.source.heights_m
+    else:
+        heights_m = np.asarray(dem.heights_m, dtype=np.float32)
+        sections[layout.bounds] = bounds_of(heights_m)
+        sections[layout.sums] = np.array(
+            [
+                checksum(heights_m[block_slices(layout.shape, *at)])
+                for at in np.ndindex(block_counts(layout.shape))
+            ],
+            dtype=np.uint32,
+        )
+        sections[layout.samples] = heights_m
+    partial_path = path.with_name(f".{path.name}.{uuid4().hex[:12]}.partial")
+    try:
+        with partial_path.open("wb") as file:
+            file.write(head)
+            for offset, values in sections.items():
+                file.seek(offset)
+                file.write(np.ascontiguousarray(values).data)
+            file.truncate(layout.end)
+        partial_path.replace(path)
+    except OSError:
+        with suppress(OSError):
+            partial_path.unlink()
+        raise
+
+
+def read_field(path: Path, fresh: MetricDem | None = None) -> HeightField:
+    """Return the height field that `save_field` or `save_dem` wrote, to the bit.
+
+    Samples are read when they are first needed. ``fresh`` is the DEM if it was written just now:
+    its source is at hand, and its warnings were logged. Raises `MissingFileError` where there is no
+    file, and `InputError` for any other file.
     """
     try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as held:
-            heights_m = held["heights_m"]
-            about = json.loads(str(held["about"]))
-            grid = Grid(*held["grid"].tolist(), *heights_m.shape)
-        made = Provenance(**about["provenance"])
-        made = replace(made, files=tuple(made.files))
-        return field_of(MetricDem(heights_m, grid, Frame(about["frame"]), made))
+        with _opened(path) as file:
+            return _field_in(file, path, fresh)
     except FileNotFoundError as error:
         raise MissingFileError(f"{path} does not exist; name the elevation files") from error
-    except (OSError, ValueError, KeyError, TypeError, RuntimeError, zipfile.BadZipFile) as error:
-        raise InputError(
-            f"{path} holds no elevation model that skyline saved; remove it, or name the files"
-        ) from error
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise _damaged(path) from error
+
+
+def _opened(path: Path) -> BinaryIO:
+    """Open a file to read, and to write if that is allowed."""
+    try:
+        return path.open("r+b", buffering=0)
+    except PermissionError:
+        return path.open("rb", buffering=0)
+
+
+def _field_in(file: BinaryIO, path: Path, fresh: MetricDem | None) -> HeightField:
+    """Return the height field in an open file.
+
+    Raises `ValueError` for any other file.
+    """
+    head = file.readline(1 << 20)
+    about = json.loads(head) if head.endswith(b"\n") else {}
+    if about.get("format") != _FORMAT:
+        raise ValueError("another format")
+    layout = _Layout.of(about, len(head))
+    if os.fstat(file.fileno()).st_size != layout.end:
+        raise ValueError("cut short")
+    with suppress(OSError):
+        os.utime(path)  # Files that were not used for long are removed first.
+    for logger, message in () if fresh else about["warnings"]:
+        logging.getLogger(logger).warning("%s", message)
+    mode: Any = "r+" if file.writable() else "r"
+    facts = np.memmap(file, _FACTS, mode, layout.facts, (1,))
+    sums = np.memmap(file, np.uint32, mode, layout.sums, layout.counts)
+    bounds_m = np.memmap(file, np.float32, "r", layout.bounds, (2, *layout.counts))
+    samples = np.memmap(file, np.float32, "r", layout.samples, layout.shape)
+    make: MakeBlock
+    if layout.source_shape is None:
+        make = partial(_no_block, path)
+    elif fresh is not None and fresh.source is not None:
+        make = fresh.source.block
+    else:
+        heights_m = np.memmap(file, np.float32, "r", layout.source, layout.source_shape)
+        source = cache(partial(_source_of, path, about, heights_m, int(facts["source_sum"][0])))
+
+        def make(rows: slice, cols: slice) -> Float32Array:
+            return source().block(rows, cols)
+
+    blocks = Blocks.in_file(file, layout.samples, samples, sums)
+    made = replace(Provenance(**about["provenance"]), files=tuple(about["provenance"]["files"]))
+    heights = LazyHeights(blocks, make, bounds_m, facts["digest"])
+    return field_of(MetricDem(heights, Grid(**about["grid"]), Frame(about["frame"]), made))
+
+
+def _damaged(path: Path) -> InputError:
+    return InputError(
+        f"{path} holds no elevation model that skyline saved; remove it, or name the files"
+    )
+
+
+def _no_block(path: Path, rows: slice, cols: slice) -> Float32Array:
+    raise _damaged(path)
+
+
+def _source_of(
+    path: Path, about: Mapping[str, Any], heights_m: Float32Array, expected: int
+) -> Source:
+    """Return the source in a file.
+
+    A file that is damaged is removed, and `InputError` raised.
+    """
+    if checksum(heights_m) != expected:
+        path.unlink(missing_ok=True)
+        raise InputError(f"{path} was damaged, and is removed; run the command again")
+    source = about["source"]
+    grid = Grid(**source["grid"])
+    crs = CRS.from_wkt(source["crs"])
+    warp = Warp(grid, crs, Frame(about["frame"]), source["spacing_m"])
+    return Source(heights_m.view(np.ndarray), warp)

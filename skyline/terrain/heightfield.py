@@ -7,23 +7,26 @@ and south-east samples. A triangle with a hole (NaN) among its samples is not pa
 import hashlib
 import math
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from html import escape
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from skyline.arrays import BoolArray, Float64Array, FloatArray
+from skyline.arrays import BoolArray, Float64Array, FloatArray, Int64Array
 from skyline.errors import InputError, printable
 from skyline.geodesy.bounds import Bounds
 from skyline.geodesy.map_frame import Frame
+from skyline.terrain.lazy_heights import LazyHeights
 from skyline.terrain.metric_dem import MetricDem, metric_dem
-from skyline.terrain.mosaic import read_mosaic
 from skyline.terrain.provenance import DemOptions, Provenance
-from skyline.terrain.raster_tiles import Tile, array_tile, dataset_tile
+
+if TYPE_CHECKING:
+    from skyline.terrain.raster_tiles import Tile
 
 Ground = Callable[[Float64Array, Float64Array], Float64Array]
 """Returns the heights in metres at eastings and northings, NaN off the map and on holes."""
@@ -65,6 +68,20 @@ class HeightField:
     provenance: Provenance = field(default_factory=Provenance)
 
     def __post_init__(self) -> None:
+        if isinstance(self.heights_m, LazyHeights):
+            # `__getattr__` makes the attribute when someone wants all heights.
+            object.__setattr__(self, "_lazy", self.__dict__.pop("heights_m"))
+        else:
+            self._take_heights()
+        if error_deg := self.frame.untrue_deg(self.bounds_m):
+            raise InputError(
+                f"on the map of {self.frame.name} slopes and directions are wrong by up to "
+                f"{error_deg:.2f} degrees in this DEM; read it with read_dem, "
+                "HeightField.from_rasterio or from_xarray, which warp it"
+            )
+
+    def _take_heights(self) -> None:
+        """Check the array of heights, and make it the field's own."""
         heights = np.asanyarray(self.heights_m)
         if heights.ndim != 2 or heights.size == 0:
             raise InputError(
@@ -95,12 +112,19 @@ class HeightField:
             heights = np.array(heights, order="C")
             heights.setflags(write=False)
         object.__setattr__(self, "heights_m", heights)
-        if error_deg := self.frame.untrue_deg(self.bounds_m):
-            raise InputError(
-                f"on the map of {self.frame.name} slopes and directions are wrong by up to "
-                f"{error_deg:.2f} degrees in this DEM; read it with read_dem, "
-                "HeightField.from_rasterio or from_xarray, which warp it"
-            )
+
+    def __getattr__(self, name: str) -> Any:
+        """Return all heights where they are lazy."""
+        lazy = self.__dict__.get("_lazy")
+        if name != "heights_m" or lazy is None:
+            raise AttributeError(f"{type(self).__name__} has no attribute {name}")
+        object.__setattr__(self, "heights_m", lazy.whole())
+        return self.heights_m
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what is pickled: all heights, wherever they are kept."""
+        state = {name: value for name, value in self.__dict__.items() if name != "_lazy"}
+        return state | {"heights_m": self.heights_m}
 
     def __repr__(self) -> str:
         samples, spacing, *others = self._facts().values()
@@ -110,7 +134,7 @@ class HeightField:
 
     def _repr_html_(self) -> str:
         facts = self._facts() | {"W, S, E, N": ", ".join(f"{v:.4f}" for v in self.box_deg)}
-        if not np.isnan(self.heights_m).all():
+        with suppress(InputError):
             facts["heights"] = "{:.0f} to {:.0f} m".format(*self.height_range_m)
         if self.provenance.files:
             facts["files"] = ", ".join(self.provenance.files)
@@ -144,6 +168,8 @@ class HeightField:
             It is not an open dataset, has several bands, a missing or unknown CRS, a rotated grid,
             or no height at all.
         """
+        from skyline.terrain.raster_tiles import dataset_tile  # noqa: PLC0415  (slow to load)
+
         options = options or DemOptions()
         return _field_of_tile(dataset_tile(dataset, options.default_crs), options)
 
@@ -173,18 +199,52 @@ class HeightField:
             It is not a DataArray, has other dimensions or several bands, missing or uneven
             coordinates, a missing or unknown CRS, or no height at all.
         """
+        from skyline.terrain.raster_tiles import array_tile  # noqa: PLC0415  (slow to load)
+
         options = options or DemOptions()
         return _field_of_tile(array_tile(data_array, options.default_crs), options)
 
     @property
+    def _lazy_heights(self) -> LazyHeights | None:
+        lazy: LazyHeights | None = self.__dict__.get("_lazy")
+        return lazy
+
+    @property
     def rows(self) -> int:
         """Number of samples from north to south."""
-        return int(self.heights_m.shape[0])
+        return int((self._lazy_heights or self.heights_m).shape[0])
 
     @property
     def cols(self) -> int:
         """Number of samples from west to east."""
-        return int(self.heights_m.shape[1])
+        return int((self._lazy_heights or self.heights_m).shape[1])
+
+    def part(self, rows: slice, cols: slice) -> FloatArray:
+        """Return a part of the heights.
+
+        Heights that are made when they are needed are made for this part only.
+        """
+        lazy = self._lazy_heights
+        within = slice(*rows.indices(self.rows)[:2]), slice(*cols.indices(self.cols)[:2])
+        return self.heights_m[within] if lazy is None else lazy.part(*within)
+
+    def samples_at(self, row: Int64Array, col: Int64Array) -> FloatArray:
+        """Return the heights at rows and columns, which broadcast.
+
+        Heights that are made when they are needed are made around these only.
+        """
+        lazy = self._lazy_heights
+        return self.heights_m[row, col] if lazy is None else lazy.at(row, col)
+
+    def highest_m(self, rows: slice, cols: slice) -> float:
+        """Return a bound above the heights of a part.
+
+        It is -inf where there is no height.
+        """
+        lazy = self._lazy_heights
+        if lazy is not None:
+            return lazy.highest_m(rows, cols)
+        return float(np.fmax.reduce(self.heights_m[rows, cols], axis=None, initial=-np.inf))
 
     @property
     def height_sd_m(self) -> float:
@@ -231,20 +291,36 @@ class HeightField:
     @cached_property
     def height_range_m(self) -> tuple[float, float]:
         """Lowest and highest sample; raises `InputError` where every sample is a hole."""
-        lowest = float(np.fmin.reduce(self.heights_m, axis=None))
-        if np.isnan(lowest):
+        lazy = self._lazy_heights
+        if lazy is not None:
+            lowest, highest = lazy.range_m()
+        else:
+            lowest = float(np.fmin.reduce(self.heights_m, axis=None, initial=np.inf))
+            highest = float(np.fmax.reduce(self.heights_m, axis=None, initial=-np.inf))
+        if lowest > highest:
             raise InputError("the DEM holds no heights at all: every sample is a hole")
-        return lowest, float(np.fmax.reduce(self.heights_m, axis=None))
+        return lowest, highest
 
     @cached_property
     def digest(self) -> str:
         """SHA-256 over the samples, their grid and their frame, hexadecimal."""
+        lazy = self._lazy_heights
+        if lazy is None:
+            return self._digest()
+        if lazy.digest:
+            return lazy.digest
+        digest = self._digest()
+        lazy.note_digest(digest)
+        return digest
+
+    def _digest(self) -> str:
         sha = hashlib.sha256(self.frame.wkt.encode())
         grid = (self.west_m, self.north_m, self.spacing_east_m, self.spacing_north_m)
         sha.update(np.array(grid, dtype="<f8").tobytes())
-        sha.update(np.array(self.heights_m.shape, dtype="<i8").tobytes())
-        sha.update(str(self.heights_m.dtype).encode())
-        sha.update(self.heights_m.data)
+        heights_m = self.heights_m
+        sha.update(np.array(heights_m.shape, dtype="<i8").tobytes())
+        sha.update(str(heights_m.dtype).encode())
+        sha.update(heights_m.data)
         return sha.hexdigest()
 
     def to_grid(
@@ -326,16 +402,17 @@ class HeightField:
         is_north_east = east >= south
         beside = np.where(is_north_east, top, bottom), np.where(is_north_east, right, left)
         corners = tuple(
-            self.heights_m[at].astype(np.float64) for at in ((top, left), beside, (bottom, right))
+            self.samples_at(*at).astype(np.float64) for at in ((top, left), beside, (bottom, right))
         )
         return inside, corners, south, east
 
 
 def field_of(dem: MetricDem) -> HeightField:
     """Return the height field of metric samples, which are not copied."""
-    dem.heights_m.setflags(write=False)
+    if not isinstance(dem.heights_m, LazyHeights):
+        dem.heights_m.setflags(write=False)
     return HeightField(
-        heights_m=dem.heights_m,
+        heights_m=cast("FloatArray", dem.heights_m),
         west_m=dem.grid.west,
         north_m=dem.grid.north,
         spacing_east_m=dem.grid.step_east,
@@ -345,7 +422,9 @@ def field_of(dem: MetricDem) -> HeightField:
     )
 
 
-def _field_of_tile(tile: Tile, options: DemOptions) -> HeightField:
+def _field_of_tile(tile: "Tile", options: DemOptions) -> HeightField:
+    from skyline.terrain.mosaic import read_mosaic  # noqa: PLC0415  (slow to load)
+
     return field_of(metric_dem(read_mosaic([tile]), options))
 
 

@@ -5,6 +5,8 @@ A model is warped where its own map cannot be the frame.
 
 import logging
 from dataclasses import asdict, dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 from skyline.arrays import Float32Array
 from skyline.errors import InputError
@@ -12,10 +14,13 @@ from skyline.geodesy.bounds import degrees_in_words, in_turn
 from skyline.geodesy.crs import is_metric, is_upright, off_area_deg, to_wgs84
 from skyline.geodesy.map_frame import Frame
 from skyline.terrain.grid import Grid
-from skyline.terrain.mosaic import Mosaic
+from skyline.terrain.lazy_heights import Blocks, LazyHeights
 from skyline.terrain.provenance import DemOptions, Provenance
 from skyline.terrain.repair import repair
-from skyline.terrain.resampling import ground_spacing_m, square_spacing_m, warp
+from skyline.terrain.resampling import Warp, ground_spacing_m, square_spacing_m
+
+if TYPE_CHECKING:
+    from skyline.terrain.mosaic import Mosaic
 
 FAR_DEG = 10.0
 """A DEM farther than this from the area of its CRS likely has the coordinates of another CRS."""
@@ -23,18 +28,43 @@ FAR_DEG = 10.0
 _log = logging.getLogger(__name__)
 
 
+@dataclass(frozen=True, eq=False)
+class Source:
+    """Repaired samples on their files' grid, and their warp to a metric one."""
+
+    heights_m: Float32Array
+    """(rows, cols) float32; NaN marks a hole."""
+    warp: Warp
+
+    @cached_property
+    def bounds_m(self) -> Float32Array:
+        """Bounds (2, R, C) of the heights in each metric block."""
+        return self.warp.bounds_m(self.heights_m)
+
+    def block(self, rows: slice, cols: slice) -> Float32Array:
+        """Return a block of the metric grid."""
+        return self.warp.block(self.heights_m, rows, cols)
+
+    def in_memory(self) -> LazyHeights:
+        """Return the metric heights, whose blocks are kept in memory."""
+        target = self.warp.target
+        return LazyHeights(Blocks((target.rows, target.cols)), self.block, self.bounds_m)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class MetricDem:
     """Samples on a metric grid, from which a height field is made."""
 
-    heights_m: Float32Array
+    heights_m: Float32Array | LazyHeights
     """(rows, cols) float32; NaN marks a hole."""
     grid: Grid
     frame: Frame
     provenance: Provenance
+    source: Source | None = None
+    """What lazy heights are made from."""
 
 
-def metric_dem(mosaic: Mosaic, options: DemOptions) -> MetricDem:
+def metric_dem(mosaic: "Mosaic", options: DemOptions) -> MetricDem:
     """Repair a DEM's heights, and warp them if they need it.
 
     Heights are repaired on their files' own grid, and warped where its map cannot be the frame.
@@ -47,6 +77,7 @@ def metric_dem(mosaic: Mosaic, options: DemOptions) -> MetricDem:
     heights_m = mosaic.heights_m
     lon, lat, accuracy = _centre(mosaic)
     frame = _map_frame(mosaic)
+    source = None
     if frame is not None:
         resampling = "none"
         counts = repair(heights_m, mosaic.source, max(grid.step_east, grid.step_north))
@@ -60,7 +91,7 @@ def metric_dem(mosaic: Mosaic, options: DemOptions) -> MetricDem:
             f"{ground_spacing[1]:.2f} m at the centre) to {spacing_m:g} m in the local conformal "
             "frame"
         )
-        heights_m, grid = warp(heights_m, grid, crs, frame, spacing_m)
+        source = Source(heights_m, Warp(grid, crs, frame, spacing_m))
     provenance = Provenance(
         files=mosaic.files,
         resampling=resampling,
@@ -68,10 +99,12 @@ def metric_dem(mosaic: Mosaic, options: DemOptions) -> MetricDem:
         options=asdict(options),
         conventions={**mosaic.conventions, "to_wgs84": accuracy},
     )
-    return MetricDem(heights_m, grid, frame, provenance)
+    if source is None:
+        return MetricDem(heights_m, grid, frame, provenance)
+    return MetricDem(source.in_memory(), source.warp.target, frame, provenance, source)
 
 
-def _centre(mosaic: Mosaic) -> tuple[float, float, str]:
+def _centre(mosaic: "Mosaic") -> tuple[float, float, str]:
     """Return a DEM's middle in degrees, and its accuracy in words.
 
     Warns where the middle lies far off the area of the CRS; raises `InputError` where it is no
@@ -97,7 +130,7 @@ def _centre(mosaic: Mosaic) -> tuple[float, float, str]:
     return lon, lat, accuracy
 
 
-def _map_frame(mosaic: Mosaic) -> Frame | None:
+def _map_frame(mosaic: "Mosaic") -> Frame | None:
     """Return the frame of a DEM's map; None if it needs warping.
 
     A warning says why, unless the map is in degrees or in feet.

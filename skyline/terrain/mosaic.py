@@ -3,9 +3,12 @@
 It checks whether the tiles fit together, and reads their heights.
 """
 
+import itertools
 import logging
 import math
-from collections.abc import Mapping, Sequence
+from collections import deque
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,7 +17,7 @@ from pyproj import CRS
 from skyline.arrays import BoolArray, Float32Array
 from skyline.errors import InputError
 from skyline.terrain.datums import ELLIPSOID, GEOID, merged_conventions
-from skyline.terrain.grid import MAX_SAMPLES, Grid, full_turn
+from skyline.terrain.grid import MAX_SAMPLES, STRIP_SAMPLES, Grid, full_turn
 from skyline.terrain.raster_tiles import Tile
 from skyline.terrain.repair import ABSURD_M
 
@@ -35,6 +38,12 @@ look like steps."""
 STANDARD_ERRORS = 8.0
 """Least height of a step, in its standard errors. A cut through a whole DEM must never be reported
 as a step: tests/unit/test_dem_tiles.py makes some thousands, of 128 samples."""
+
+_READERS = 2
+"""Tiles that are read at a time, and that wait to be laid."""
+
+Parts = Iterable[tuple[slice, Float32Array]]
+"""Slices of a tile's rows, and their heights."""
 
 _log = logging.getLogger(__name__)
 
@@ -76,10 +85,10 @@ def read_mosaic(tiles: Sequence[Tile]) -> Mosaic:
 def _read(tiles: Sequence[Tile]) -> Mosaic:
     grid, offsets = _common_grid(tiles)
     heights = np.full((grid.rows, grid.cols), np.inf, dtype=np.float32)
-    for tile, (row, col) in zip(tiles, offsets, strict=True):
+    for (tile, parts), (row, col) in zip(_read_ahead(tiles), offsets, strict=True):
         borders = _free_borders(heights, row, col, tile.grid)
         place = heights[row : row + tile.grid.rows, col : col + tile.grid.cols][tile.north_up]
-        _lay_tile(place, tile)
+        _lay_tile(place, tile, parts)
         _warn_of_step(borders, tile)
     return Mosaic(
         heights,
@@ -91,7 +100,26 @@ def _read(tiles: Sequence[Tile]) -> Mosaic:
     )
 
 
-def _lay_tile(place: Float32Array, tile: Tile) -> None:
+def _read_ahead(tiles: Sequence[Tile]) -> Iterator[tuple[Tile, Parts]]:
+    """Yield tiles with their heights.
+
+    While one is laid, others are read and unpacked.
+    """
+    if len(tiles) == 1:
+        yield tiles[0], tiles[0].read()
+        return
+    with ThreadPoolExecutor(_READERS) as pool:
+        waiting: deque[Future[Parts]] = deque()
+        ahead = iter(tiles)
+        for tile in tiles:
+            for one in itertools.islice(ahead, _READERS - len(waiting)):
+                # A tile beyond some strips would take much memory beside the mosaic.
+                is_small = one.grid.rows * one.grid.cols <= 4 * STRIP_SAMPLES
+                waiting.append(pool.submit(list if is_small else iter, one.read()))
+            yield tile, waiting.popleft().result()
+
+
+def _lay_tile(place: Float32Array, tile: Tile, parts: Parts) -> None:
     """Read a tile into its place; heights of earlier tiles stay.
 
     Warns where they differ, and raises `InputError` where they are of other ground.
@@ -99,7 +127,7 @@ def _lay_tile(place: Float32Array, tile: Tile) -> None:
     disagreement_m = 0.0
     shared = 0
     other = 0
-    for rows, fresh in tile.read():
+    for rows, fresh in parts:
         old = place[rows]
         # A height beyond all ground is an undeclared void.
         known = np.isfinite(old) & (np.abs(old) <= ABSURD_M)

@@ -4,6 +4,7 @@ A raster is a plain file, a file in an archive, or a file on a server.
 """
 
 import gzip
+import os
 import re
 import warnings
 import zlib
@@ -38,6 +39,8 @@ _SETTINGS = {
     "GDAL_HTTP_MAX_RETRY": "3",
 }
 """GDAL's settings for reading heights."""
+_HGT_BYTES = {2 * side * side for side in (1201, 3601)}
+"""Lengths of the .hgt tiles of 3 and of 1 arc-second."""
 _SECRET = re.compile(r"(?<=://)[^/@\s]*@|\?[^\"'\s)]*")
 """A user with a password in an address, or its query."""
 _NO_ANSWER = re.compile(
@@ -48,9 +51,10 @@ _NO_ANSWER = re.compile(
 
 
 @contextmanager
-def opened_raster(source: str, **settings: str) -> Iterator[Any]:
+def opened_raster(source: str, header_only: bool = False, **settings: str) -> Iterator[Any]:
     """Open a raster with further settings of GDAL's; yields the rasterio dataset.
 
+    With ``header_only`` its samples must not be read: a packed tile is then not always unpacked.
     A failure while the raster is open becomes an error of one line: `InputError`, or `FetchError`
     where a server fails.
     """
@@ -59,7 +63,7 @@ def opened_raster(source: str, **settings: str) -> Iterator[Any]:
         settings = {"GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR", **settings}
     try:
         with rasterio.Env(**_SETTINGS, **settings), ExitStack() as held:
-            yield _dataset(source, held)
+            yield _dataset(source, header_only, held)
     except RasterioError as error:
         reason = re.sub(r"/vsimem/[^/]*/", "", " ".join(str(error.__cause__ or error).split()))
         if "://" in source:
@@ -77,21 +81,38 @@ def opened_raster(source: str, **settings: str) -> Iterator[Any]:
         ) from error
 
 
-def _dataset(source: str, held: ExitStack) -> Any:
+def _dataset(source: str, header_only: bool, held: ExitStack) -> Any:
     """Return a raster's rasterio dataset, open as long as ``held``."""
     with warnings.catch_warnings():
         # A raster without a georeference is refused later, with an error of its own.
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
         if not _is_gzip(source):
             return held.enter_context(rasterio.open(source))
-        # GDAL opens it as well, but does not compare the checksum.
-        with unpacked(source) as packed:
-            content = packed.read()
+        content = _zeros_for(source) if header_only else b""
+        if not content:
+            # GDAL opens it as well, but does not compare the checksum.
+            with unpacked(source) as packed:
+                content = packed.read()
         if not content:
             raise InputError(f"{source} is empty; fetch it again")
         # The .hgt driver reads the corner from the file's name.
         memory = rasterio.MemoryFile(content, filename=Path(source).stem)
         return held.enter_context(held.enter_context(memory).open())
+
+
+def _zeros_for(source: str) -> bytes:
+    """Return as many zeros as a packed .hgt tile has bytes.
+
+    There are none for other files. Such a tile has no header: its name and its length say all but
+    the samples.
+    """
+    if not source.lower().endswith(".hgt.gz"):
+        return b""
+    with Path(source).open("rb") as file:
+        file.seek(max(os.fstat(file.fileno()).st_size - 4, 0))
+        # A gzip file ends with the length of its last member.
+        length = int.from_bytes(file.read(4), "little")
+    return bytes(length) if length in _HGT_BYTES else b""
 
 
 def _is_gzip(source: str) -> bool:

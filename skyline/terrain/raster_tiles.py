@@ -30,6 +30,7 @@ from skyline.errors import InputError, library
 from skyline.files import STORE_SCHEMA, archive_of, is_file, on_disk
 from skyline.geodesy.crs import without_vertical
 from skyline.terrain.datums import SAME_UNIT, Vertical, map_conventions, metres_per, vertical_of
+from skyline.terrain.dem_files import no_dem
 from skyline.terrain.grid import Grid, row_strips
 from skyline.terrain.raster_files import bands_of, check_whole, filled_share, opened_raster
 
@@ -87,7 +88,7 @@ def dataset_tile(dataset: Any, default_crs: CRS | None) -> Tile:
     # A warped or virtual dataset may have the name of a file, but not its heights.
     on_disk = isinstance(dataset, rasterio.DatasetReader) and is_file(source)
     files = (str(Path(source).absolute()),) if on_disk else ()
-    return _tile_of(source, lambda: nullcontext(dataset), default_crs, files)
+    return _tile_of(source, lambda **_: nullcontext(dataset), default_crs, files)
 
 
 def array_tile(array: Any, default_crs: CRS | None) -> Tile:
@@ -133,12 +134,12 @@ def array_tile(array: Any, default_crs: CRS | None) -> Tile:
 
 def _tile_of(
     source: str,
-    opened: Callable[[], AbstractContextManager[Any]],
+    opened: Callable[..., AbstractContextManager[Any]],
     default_crs: CRS | None,
     files: tuple[str, ...],
 ) -> Tile:
     """Return the tile in a dataset; reading opens the dataset again."""
-    with opened() as dataset:
+    with opened(header_only=True) as dataset:
         band, alpha = _height_band(source, dataset)
         crs = _crs_of(source, None if dataset.crs is None else dataset.crs.to_wkt(), default_crs)
         transform = dataset.transform
@@ -210,15 +211,6 @@ def _height_band(source: str, dataset: Any) -> tuple[int, int | None]:
             "raster (gdal_grid)"
         )
     return bands[0], alpha
-
-
-def no_dem(given: object) -> InputError:
-    """Return the error for a value that cannot be a DEM."""
-    return InputError(
-        f"the DEM is of type {type(given).__name__}; read_dem takes paths or one HeightField, "
-        "HeightField.from_rasterio an open rasterio dataset, HeightField.from_xarray a DataArray, "
-        "HeightField itself an array of heights"
-    )
 
 
 def _heights_of(

@@ -64,6 +64,11 @@ class RepairRules:
     strip_samples: int = STRIP_SAMPLES
     """Samples of a strip of rows; more cost memory, and change nothing else."""
 
+    @property
+    def cached_samples(self) -> int:
+        """Samples of a strip that fits into the processor's cache."""
+        return self.strip_samples // 16
+
     def least_step_m(self, spacing_m: float) -> float:
         """Return the least step, up or down, at spikes and walls."""
         return max(self.least_spike_m, self.steepest * spacing_m)
@@ -98,7 +103,7 @@ def repair(
     _check_range(heights_m, source, rules)
     filled = fill_voids(heights_m, rules)
     hollow = 0
-    for rows in row_strips(heights_m, rules.strip_samples):
+    for rows in row_strips(heights_m, rules.cached_samples):
         strip = heights_m[rows]
         hollow += int(np.count_nonzero(np.isnan(strip)))
         strip[np.isinf(strip)] = np.nan
@@ -109,7 +114,7 @@ def _check_range(heights_m: Float32Array, source: str, rules: RepairRules) -> No
     """Raise `InputError` without any height; warn of heights that no ground has."""
     lowest_m = np.inf
     highest_m = -np.inf
-    for rows in row_strips(heights_m, rules.strip_samples):
+    for rows in row_strips(heights_m, rules.cached_samples):
         known_m = heights_m[rows][np.isfinite(heights_m[rows])]
         lowest_m = min(lowest_m, float(known_m.min(initial=np.inf)))
         highest_m = max(highest_m, float(known_m.max(initial=-np.inf)))
@@ -148,7 +153,7 @@ def void_undeclared(
     Returns the number of samples that became voids, and the constants found.
     """
     count = 0
-    for rows in row_strips(heights_m, rules.strip_samples):
+    for rows in row_strips(heights_m, rules.cached_samples):
         named = np.isneginf(heights_m[rows])
         heights_m[rows][named] = np.nan
         count += int(np.count_nonzero(named))
@@ -180,7 +185,7 @@ def remove_spikes(
     NaN and +inf samples are no neighbours.
     """
     count = 0
-    for rows in row_strips(heights_m, rules.strip_samples):
+    for rows in row_strips(heights_m, rules.cached_samples):
         strip = heights_m[rows]
         absurd = (np.abs(strip) > ABSURD_M) & ~np.isposinf(strip)
         strip[absurd] = np.nan
@@ -230,7 +235,7 @@ def fill_voids(heights_m: Float32Array, rules: RepairRules = RepairRules()) -> i
 def _beside_jumps(heights_m: Float32Array, step_m: float, rules: RepairRules) -> Int64Array:
     """Return ascending flat indices of heights beside a jump above ``step_m``."""
     found = []
-    for rows in row_strips(heights_m, rules.strip_samples):
+    for rows in row_strips(heights_m, rules.cached_samples):
         top = max(rows.start - 1, 0)
         block = heights_m[top : rows.stop + 1]
         beside = np.zeros(block.shape, dtype=np.bool_)
@@ -255,12 +260,7 @@ def _are_spikes(
     joined = np.abs(around_m - own_m[:, np.newaxis]) <= step_m
     slot, is_suspect = _find(suspects, around)
     row, side = np.nonzero(joined & is_suspect)
-    from scipy.sparse import coo_array  # noqa: PLC0415  (a fifth of a second, seldom needed)
-    from scipy.sparse.csgraph import connected_components  # noqa: PLC0415
-
-    shape = suspects.size, suspects.size
-    graph = coo_array((np.ones(row.size, dtype=np.int8), (row, slot[row, side])), shape=shape)
-    clump = connected_components(graph, directed=False)[1]
+    clump = _joined(suspects.size, row, slot[row, side])
     # A gentle step to a sample that is not suspected anchors the whole clump.
     anchored = np.bincount(clump, weights=(joined & ~is_suspect).any(axis=1)) > 0.0
     is_loose = ((np.bincount(clump) <= rules.max_spike_samples) & ~anchored)[clump]
@@ -269,6 +269,21 @@ def _are_spikes(
     stands_out[is_loose] = _stand_out(own_m[is_loose], firm_m, rules)
     whole_clump_stands_out = np.bincount(clump, weights=~stands_out) == 0.0
     return np.asarray(whole_clump_stands_out[clump], dtype=np.bool_)
+
+
+def _joined(count: int, one: Int64Array, other: Int64Array) -> Int64Array:
+    """Return a number (count,) that the members of each group share.
+
+    Groups are joined by pairs ``one`` and ``other``, each of which is given both ways round.
+    """
+    group = np.arange(count)
+    while True:
+        least = group.copy()
+        np.minimum.at(least, one, group[other])
+        least = least[least]
+        if np.array_equal(least, group):
+            return group
+        group = least
 
 
 def _stand_out(own_m: Float64Array, firm_m: Float64Array, rules: RepairRules) -> BoolArray:
@@ -288,8 +303,6 @@ def _stand_out(own_m: Float64Array, firm_m: Float64Array, rules: RepairRules) ->
 
 def _small_voids(heights_m: Float32Array, rules: RepairRules) -> Int64Array:
     """Return ascending flat indices of small voids that have a rim."""
-    from scipy.ndimage import binary_dilation, label  # noqa: PLC0415  (slow to load, seldom needed)
-
     most = rules.max_void_samples
     found = [np.zeros(0, dtype=np.int64)]
     for rows in row_strips(heights_m, rules.strip_samples):
@@ -300,6 +313,8 @@ def _small_voids(heights_m: Float32Array, rules: RepairRules) -> Int64Array:
         voids = np.isnan(block)
         if not voids[inner].any():
             continue
+        from scipy.ndimage import binary_dilation, label  # noqa: PLC0415  (slow to load)
+
         void, count = label(voids)
         wanted = np.zeros(count + 1, dtype=np.bool_)
         wanted[void[binary_dilation(np.isfinite(block))]] = True
@@ -337,7 +352,7 @@ def _walled_values(heights_m: Float32Array, step_m: float, rules: RepairRules) -
     reach = rules.wall_reach_samples
     around = np.arange(-reach, reach + 2)
     for view_m in (heights_m, heights_m.T):
-        for rows in row_strips(view_m, rules.strip_samples):
+        for rows in row_strips(view_m, rules.cached_samples):
             with np.errstate(invalid="ignore"):
                 steep = (np.abs(np.diff(view_m[rows], axis=1)) > step_m).any(axis=1)
             strip = view_m[rows][steep]

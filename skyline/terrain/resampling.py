@@ -6,10 +6,11 @@ GDAL's ``WarpedVRT`` overshoots: 4 to 18 % of the summits of Davos, California a
 more than 1 m too high. Here no sample is higher than the source's samples around it.
 """
 
-import itertools
 import math
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from pyproj import CRS, Transformer
@@ -19,14 +20,16 @@ from skyline.errors import InputError
 from skyline.geodesy.crs import transformer
 from skyline.geodesy.map_frame import Frame
 from skyline.terrain.grid import MAX_SAMPLES, STRIP_SAMPLES, Grid, full_turn, row_strips
+from skyline.terrain.lazy_heights import block_counts, reduced, spans_of
 
 POSITION_TOLERANCE = 1e-3
 """Greatest error of a position in the source, in samples."""
 
-_ROWS = 64
-"""Rows of the target that a thread makes at a time: with `_COLS` few enough for its cache."""
-_COLS = 1024
-"""Columns of the target that a thread makes at a time."""
+_COARSE = 32
+"""Samples along a side of the squares whose extremes bound the heights of a block."""
+_NODES = 9
+"""Positions along a side of a block from which its bounds are found. Between two of them, at most
+128 samples apart, a parallel or a meridian bends by less than a sample."""
 _Positions = Callable[[Float64Array, Float64Array], tuple[Float64Array, Float64Array]]
 """Takes rows (n,) and columns (m,) of the target; returns rows and columns (n, m) in the source."""
 
@@ -62,44 +65,83 @@ def square_spacing_m(ground_spacing: tuple[float, float]) -> float:
     return round(math.floor(1.01 * finer / step) * step, 12)
 
 
-def warp(
-    heights_m: Float32Array, grid: Grid, crs: CRS, frame: Frame, spacing_m: float
-) -> tuple[Float32Array, Grid]:
-    """Resample heights from a CRS to a frame; summits are kept.
+class Warp:
+    """The resampling of heights to a square grid in a frame.
 
-    The methods are `cubic` and `keep_summits`. Returns the heights (rows, cols), and their grid in
-    the frame, whose eastings and northings are whole multiples of the spacing. It covers the box
-    around the source; samples outside the source's outermost samples are NaN.
+    The source grid is in another CRS. The methods are `cubic` and `keep_summits`. Eastings and
+    northings of the target are whole multiples of the spacing. It covers the box around the source;
+    samples outside the source's outermost samples are NaN.
 
     Raises `InputError` for a source CRS that cannot be transformed, or a target too large.
     """
-    to_frame = transformer(crs, frame.crs)
-    target = _target_grid(grid, to_frame, spacing_m)
-    positions = _positions(grid, target, crs, frame)
-    warped = np.empty((target.rows, target.cols), dtype=np.float32)
 
-    def fill(corner: tuple[int, int]) -> None:
-        """Make the samples of a window, summits included."""
-        top, left = corner
-        # The sample nearest to a summit may lie across the window's border, so one more is made.
-        rows = slice(max(top - 1, 0), min(top + _ROWS + 1, target.rows))
-        cols = slice(max(left - 1, 0), min(left + _COLS + 1, target.cols))
-        row, col = positions(
-            *(np.arange(span.start, span.stop, dtype=np.float64) for span in (rows, cols))
+    def __init__(self, grid: Grid, crs: CRS, frame: Frame, spacing_m: float) -> None:
+        self._grid = grid
+        self._crs = crs
+        self._frame = frame
+        self._spacing_m = spacing_m
+        self._to_frame = transformer(crs, frame.crs)
+        self.target = _target_grid(grid, self._to_frame, spacing_m)
+        """The grid of the result."""
+
+    @cached_property
+    def _positions(self) -> _Positions:
+        return _positions(self._grid, self.target, self._crs, self._frame)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the warp as JSON can hold it."""
+        grid = asdict(self._grid)
+        return {"grid": grid, "crs": self._crs.to_wkt(), "spacing_m": self._spacing_m}
+
+    def block(self, heights_m: Float32Array, rows: slice, cols: slice) -> Float32Array:
+        """Return a block of the target, made from the source's heights."""
+        target = self.target
+        # The sample nearest to a summit may lie across the block's border, so one more is made.
+        wide = (
+            slice(max(rows.start - 1, 0), min(rows.stop + 1, target.rows)),
+            slice(max(cols.start - 1, 0), min(cols.stop + 1, target.cols)),
+        )
+        row, col = self._positions(
+            *(np.arange(span.start, span.stop, dtype=np.float64) for span in wide)
         )
         part = cubic(heights_m, row, col)
         if not np.isnan(part).all():
-            source = _span(row, grid.rows), _span(col, grid.cols)
-            some = heights_m[source], grid.part(*source)
-            keep_summits(part, target.part(rows, cols), *some, to_frame)
-        inner = part[top - rows.start :, left - cols.start :][:_ROWS, :_COLS]
-        warped[top : top + _ROWS, left : left + _COLS] = inner
+            source = _span(row, self._grid.rows), _span(col, self._grid.cols)
+            some = heights_m[source], self._grid.part(*source)
+            keep_summits(part, target.part(*wide), *some, self._to_frame)
+        top = rows.start - wide[0].start
+        left = cols.start - wide[1].start
+        return part[top:, left:][: rows.stop - rows.start, : cols.stop - cols.start]
 
-    tops = range(0, target.rows, _ROWS)
-    lefts = range(0, target.cols, _COLS)
-    with ThreadPoolExecutor(max_workers=4) as pool:
-        list(pool.map(fill, itertools.product(tops, lefts)))
-    return warped, target
+    def bounds_m(self, heights_m: Float32Array) -> Float32Array:
+        """Return bounds (2, R, C) below and above the heights of each block.
+
+        Resampling goes neither below nor above the samples around a position. Where a block has no
+        sample at all, the bounds are infinite, and the lowest is above the highest.
+        """
+        target = self.target
+        coarse = [reduced(one, heights_m, _COARSE, _COARSE) for one in (np.fmin, np.fmax)]
+        bounds = np.empty((2, *block_counts((target.rows, target.cols))), dtype=np.float32)
+        bounds[0] = np.inf
+        bounds[1] = -np.inf
+        # Extremes of the source's rows and columns lie on a block's border, between nodes too
+        # little farther out to leave the margin.
+        row, col = self._positions(
+            *(
+                np.concatenate([np.linspace(one.start, one.stop - 1, _NODES) for one in along])
+                for along in spans_of((target.rows, target.cols))
+            )
+        )
+        for at in np.ndindex(bounds.shape[1:]):
+            nodes = tuple(slice(_NODES * one, _NODES * (one + 1)) for one in at)
+            over = tuple(
+                slice(span.start // _COARSE, -(-span.stop // _COARSE))
+                for span in (_span(row[nodes], self._grid.rows), _span(col[nodes], self._grid.cols))
+            )
+            if all(span.stop > span.start for span in over):
+                bounds[0][at] = np.fmin.reduce(coarse[0][over], axis=None, initial=np.inf)
+                bounds[1][at] = np.fmax.reduce(coarse[1][over], axis=None, initial=-np.inf)
+        return bounds
 
 
 def _span(at: Float64Array, count: int) -> slice:
@@ -138,7 +180,7 @@ def _positions(grid: Grid, target: Grid, crs: CRS, frame: Frame) -> _Positions:
 
     It interpolates between nodes where that is exact to `POSITION_TOLERANCE`.
     """
-    from scipy.interpolate import RectBivariateSpline  # noqa: PLC0415  (a fifth of a second, seldom needed)
+    from scipy.interpolate import RectBivariateSpline  # noqa: PLC0415  (slow to load, seldom needed)
 
     to_source = transformer(frame.crs, crs)
     turn = full_turn(crs)

@@ -54,7 +54,7 @@ def highest_within(
         met_m = away_m[np.abs(away_m) <= within_m]
         half_m = np.sqrt(within_m**2 - met_m**2)
         points += [normal * (met_m + 1j * half_m), normal * (met_m - 1j * half_m)]
-    heights = field.heights_m[rows[:, np.newaxis], cols].astype(np.float64)
+    heights = field.samples_at(rows[:, np.newaxis], cols).astype(np.float64)
     up_east = np.diff(heights, axis=1) / east_m
     up_south = np.diff(heights, axis=0) / south_m
     for up in (
@@ -122,7 +122,7 @@ def prominence_m(field: HeightField, row: int, col: int) -> float:
     """
     hill = _framed(field, row, col, reach=64)
     low_m = 0.0
-    high_m = float(field.heights_m[row, col]) - float(hill.min())
+    high_m = float(hill[hill.shape[0] // 2, hill.shape[1] // 2]) - float(hill.min())
     while high_m - low_m > 1.0:
         fall_m = 0.5 * (low_m + high_m)
         if _falls_by(hill, fall_m, field.height_sd_m):
@@ -138,7 +138,7 @@ def _heights(
     """Return the heights of samples, ``missing_m`` for holes and off the map."""
     rows, cols = np.broadcast_arrays(rows, cols)
     inside = (rows >= 0) & (rows < field.rows) & (cols >= 0) & (cols < field.cols)
-    heights = field.heights_m[np.where(inside, rows, 0), np.where(inside, cols, 0)]
+    heights = field.samples_at(np.where(inside, rows, 0), np.where(inside, cols, 0))
     return np.where(inside & ~np.isnan(heights), heights, missing_m).astype(np.float64)
 
 
@@ -157,8 +157,8 @@ def _falls_by(around_m: Float64Array, fall_m: float, rise_m: float) -> bool:
 
     On the way it may rise by ``rise_m`` above the middle.
     """
-    from scipy.ndimage import label  # noqa: PLC0415  (slow to load, seldom needed)
+    import cv2  # noqa: PLC0415  (slow to load, seldom needed)
 
     middle = around_m.shape[0] // 2, around_m.shape[1] // 2
-    hills, _ = label(around_m >= around_m[middle] - fall_m, np.ones((3, 3)))
+    hills = cv2.connectedComponents((around_m >= around_m[middle] - fall_m).view(np.uint8))[1]
     return bool(around_m[hills == hills[middle]].max() <= around_m[middle] + rise_m)

@@ -1,0 +1,204 @@
+"""Heights that are made block by block are those of a whole reading, and stay in a file."""
+
+import itertools
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import rasterio
+from pyproj import CRS
+from rasterio.transform import from_origin
+from scenes import fractal, write_dem
+
+from skyline import read_dem
+from skyline.errors import InputError
+from skyline.geodesy.map_frame import Frame
+from skyline.terrain.field_files import read_field, save_dem
+from skyline.terrain.grid import Grid
+from skyline.terrain.heightfield import field_of
+from skyline.terrain.kept_models import models_folder
+from skyline.terrain.lazy_heights import Blocks, LazyHeights, block_counts
+from skyline.terrain.metric_dem import MetricDem, Source
+from skyline.terrain.provenance import Provenance
+from skyline.terrain.resampling import Warp
+
+STEP_DEG = 1.0 / 1200.0
+
+
+def holed(rows, cols, seed):
+    """Return rough ground with holes, a cliff at a seam, a sea and level places."""
+    rng = np.random.default_rng(seed)
+    heights = fractal(rows, cols, 2000.0, seed=seed).astype(np.float32)
+    heights[:, cols // 2 :] += 300.0
+    heights = np.maximum(np.round(heights), -200.0)
+    for top, left in rng.integers(0, [rows - 9, cols - 9], (12, 2)):
+        heights[top : top + 9, left : left + 9] = np.nan
+    return heights
+
+
+def source_of(heights):
+    rows, cols = heights.shape
+    grid = Grid(9.0, 47.0, STEP_DEG, STEP_DEG, rows, cols)
+    frame = Frame.local(lon=9.0 + 0.5 * cols * STEP_DEG, lat=47.0 - 0.5 * rows * STEP_DEG)
+    return Source(heights, Warp(grid, CRS.from_epsg(4326), frame, 60.0)), frame
+
+
+def dem_of(source, frame):
+    return MetricDem(source.in_memory(), source.warp.target, frame, Provenance(), source)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_parts_are_those_of_one_block_over_the_whole_grid(seed):
+    source, _ = source_of(holed(210, 1500, seed))
+    target = source.warp.target
+    whole = source.block(slice(0, target.rows), slice(0, target.cols))
+    rng = np.random.default_rng(seed)
+    lazy = source.in_memory()
+    for _ in range(20):
+        top, bottom = np.sort(rng.integers(0, target.rows + 1, 2))
+        left, right = np.sort(rng.integers(0, target.cols + 1, 2))
+        rows, cols = slice(top, bottom), slice(left, right)
+        np.testing.assert_array_equal(lazy.part(rows, cols), whole[rows, cols])
+    np.testing.assert_array_equal(lazy.whole(), whole)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_heights_at_positions_are_those_of_the_whole_grid(seed):
+    source, frame = source_of(holed(210, 1500, seed))
+    field = field_of(dem_of(source, frame))
+    row, col = np.random.default_rng(seed).uniform(0.0, [[field.rows], [field.cols]], (2, 500))
+    at = dict(zip(("easting_m", "northing_m"), field.to_map(row, col), strict=True))
+    found = field.height_at(**at)
+    whole = replace(field, heights_m=field.heights_m)
+    np.testing.assert_array_equal(found, whole.height_at(**at))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_no_height_is_above_its_bound(seed):
+    source, _ = source_of(holed(210, 1500, seed))
+    lazy = source.in_memory()
+    whole = lazy.whole()
+    for top, left in itertools.product(range(0, 150, 50), range(0, 800, 200)):
+        part = slice(top, top + 50), slice(left, left + 200)
+        assert np.fmax.reduce(whole[part], axis=None, initial=-np.inf) <= lazy.highest_m(*part)
+
+
+def test_the_range_is_exact_though_few_blocks_are_made():
+    source, _ = source_of(holed(900, 1500, 5))
+    whole = source.in_memory().whole()
+    made = []
+
+    def make(rows, cols):
+        made.append((rows, cols))
+        return source.block(rows, cols)
+
+    lazy = LazyHeights(Blocks(whole.shape), make, source.bounds_m)
+    assert lazy.range_m() == (np.nanmin(whole), np.nanmax(whole))
+    assert len(made) < source.bounds_m[0].size / 2
+
+
+def saved(path, **options):
+    """Write a DEM whose blocks have yet to be made, and return how it should be read."""
+    source, frame = source_of(holed(210, 1500, 1))
+    dem = dem_of(source, frame)
+    save_dem(dem, path, **options)
+    return field_of(dem)
+
+
+def test_a_file_gives_the_heights_of_a_reading_and_keeps_its_blocks(tmp_path):
+    path = tmp_path / "model.terrain"
+    expected = saved(path)
+    some = slice(0, 70), slice(0, 90)
+    np.testing.assert_array_equal(read_field(path).part(*some), expected.heights_m[some])
+    # The source is at the end of the file: without it, only blocks that are kept can be read.
+    with path.open("r+b") as file:
+        file.seek(-1000, 2)
+        file.write(b"\1" * 1000)
+    again = read_field(path)
+    np.testing.assert_array_equal(again.part(*some), expected.heights_m[some])
+    with pytest.raises(InputError, match="was damaged, and is removed"):
+        again.part(slice(0, again.rows), slice(0, again.cols))
+    assert not path.exists()
+
+
+def test_a_block_whose_writing_was_cut_short_is_made_anew(tmp_path):
+    path = tmp_path / "model.terrain"
+    expected = saved(path)
+    assert read_field(path).digest == expected.digest
+    content = path.read_bytes()
+    sample = expected.heights_m[40, 50:80].tobytes()
+    assert content.count(sample) == 1
+    path.write_bytes(content.replace(sample, bytes(len(sample))))
+    np.testing.assert_array_equal(read_field(path).heights_m, expected.heights_m)
+
+
+def test_blocks_stay_in_memory_where_the_file_takes_no_more(tmp_path):
+    """A file that is open to read stands for a full disk."""
+    source, _ = source_of(holed(210, 1500, 1))
+    shape = source.in_memory().shape
+    path = tmp_path / "samples"
+    path.write_bytes(bytes(4 * shape[0] * shape[1]))
+    with path.open("rb") as file:
+        samples = np.memmap(file, np.float32, "r", 0, shape)
+        sums = np.zeros(block_counts(shape), np.uint32)
+        lazy = LazyHeights(Blocks.in_file(file, 0, samples, sums), source.block, source.bounds_m)
+        np.testing.assert_array_equal(lazy.whole(), source.in_memory().whole())
+    assert not any(path.read_bytes())
+
+
+def test_a_field_is_pickled_with_all_its_heights():
+    field = field_of(dem_of(*source_of(holed(210, 1500, 1))))
+    again = pickle.loads(pickle.dumps(field))
+    np.testing.assert_array_equal(again.heights_m, field.heights_m)
+    assert again.digest == field.digest
+
+
+@pytest.fixture
+def large_dem(tmp_path, monkeypatch):
+    """Write a DEM in degrees that is large enough to be kept, with a void that is not declared."""
+    monkeypatch.setenv("SKYLINE_CACHE", str(tmp_path / "cache"))
+    heights = np.round(fractal(1100, 1100, 900.0, seed=3)).astype(np.int16) + 1000
+    heights[300:420, 500:640] = 0
+    place = from_origin(9.0, 47.0, 1.0 / 3600.0, 1.0 / 3600.0)
+    return write_dem(tmp_path / "dem.tif", heights, "EPSG:4326", transform=place)
+
+
+def kept_models():
+    return list(models_folder().glob("*.terrain"))
+
+
+def test_a_second_reading_gives_the_same_heights_and_warnings(large_dem, caplog):
+    first = read_dem(large_dem)
+    warnings = [record.getMessage() for record in caplog.records]
+    assert any("samples of exactly 0 m" in one for one in warnings)
+    caplog.clear()
+    digest = first.digest
+    (kept,) = kept_models()
+    again = read_dem(large_dem)
+    assert [record.getMessage() for record in caplog.records] == warnings
+    np.testing.assert_array_equal(again.heights_m, first.heights_m)
+    assert (again.digest, again.provenance) == (digest, first.provenance)
+    assert kept_models() == [kept]
+
+
+def test_a_dem_that_has_changed_is_read_anew(large_dem):
+    before = read_dem(large_dem).digest
+    with rasterio.open(large_dem, "r+") as dataset:
+        dataset.write(dataset.read() + 1)
+    assert read_dem(large_dem).digest != before
+    assert len(kept_models()) == 2
+
+
+def test_a_kept_model_that_is_damaged_is_read_anew(large_dem):
+    digest = read_dem(large_dem).digest
+    (kept,) = kept_models()
+    kept.write_bytes(kept.read_bytes()[:5000])
+    assert read_dem(large_dem).digest == digest
+
+
+def test_a_dem_is_read_where_the_cache_cannot_be_written(large_dem, tmp_path, monkeypatch):
+    digest = read_dem(large_dem).digest
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("SKYLINE_CACHE", str(tmp_path / "file"))
+    assert read_dem(large_dem).digest == digest
