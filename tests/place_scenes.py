@@ -54,5 +54,8 @@ class Blocks:
         for start in range(0, len(self._places), self._size):
             yield self._places[start : start + self._size]
 
+    def phases(self, rows):
+        return self._places.phase[rows]
+
     def take(self, rows):
         return self._places[rows]

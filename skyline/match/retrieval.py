@@ -166,7 +166,7 @@ class Retriever:
             self.places,
             _EFFORT.screened_again * counts[-1],
             lambda some: np.all([prior.contains(some) for prior in priors], axis=0),
-            lambda share: report("screening", share),
+            report,
         )
         if not len(waiting):
             raise self._no_place_error(priors)

@@ -278,12 +278,12 @@ def screen_places(
     source: PlaceSource,
     count: int,
     contains: Callable[[Places], BoolArray],
-    report: Callable[[float], None],
+    report: ReportProgress = silent,
 ) -> Alike:
     """Return the best ``count`` places of a source, best first.
 
     There are fewer if fewer are contained. ``contains`` marks which places (N,) of a block are
-    searched; the share that is done is reported.
+    searched.
     """
 
     def scored(blocks: list[tuple[int, Places]]) -> tuple[Alike, int]:
@@ -305,7 +305,7 @@ def screen_places(
             found, places = ahead.pop(0).result()
             ahead.extend(pool.submit(scored, batch) for batch in islice(batches, 1))
             seen += places
-            report(seen / max(len(source), 1))
+            report("screening", seen / max(len(source), 1))
             kept = Alike.joined([kept, found])
             if len(kept) > _SLACK * count:
                 kept = kept.best(count)

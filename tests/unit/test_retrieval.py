@@ -41,8 +41,8 @@ def test_a_pose_is_found_back_whatever_the_heading(places, seed, heading, pitch,
 def test_the_field_of_view_is_found_within_its_range_and_never_outside(places):
     true = rays(5, 30.0)
     wrong = true.with_fov(63.0)
-    query = replace(wrong, fov_deg=63.0, fov_range_deg=(57.0, 66.0))
-    found = Retriever(places).shortlist(query, 5)
+    seen = replace(wrong, fov_deg=63.0, fov_range_deg=(57.0, 66.0))
+    found = Retriever(places).shortlist(seen, 5)
     assert found.easting_m[0] == pytest.approx(500.0, abs=50.0)
     assert found.fov_deg[0] == pytest.approx(60.0, abs=0.5)
     narrow = replace(wrong, fov_deg=63.0, fov_range_deg=(61.0, 66.0))
@@ -98,3 +98,16 @@ def test_missing_headings_do_not_stop_the_others():
     found = Retriever(places_of(y)).shortlist(rays(4, 100.0), 1)
     assert found.easting_m[0] == pytest.approx(400.0, abs=50.0)
     assert turned(found.grid_heading_deg[0], 100.0) < 0.3
+
+
+def test_later_lists_add_to_the_first_one():
+    """The first list is of 2048 places, the second of all 2300."""
+    seeds = np.arange(2300) % 40
+    places = places_of(np.stack([curve(seed, AZIMUTH_DEG) for seed in range(40)])[seeds])
+    first, last = Retriever(places).shortlists(rays(3, 77.0), 5)
+    assert last.cost[0] <= first.cost[0]
+    assert len(first) == len(last) == 5
+
+
+def test_few_places_make_one_list(places):
+    assert len(list(Retriever(places).shortlists(rays(3, 77.0), 5))) == 1

@@ -8,7 +8,8 @@ from place_scenes import AZIMUTH_DEG, Blocks, curve, photo, places_of, rays
 from ray_scenes import equally_trusted
 
 from skyline.match.prior import NOTHING_KNOWN
-from skyline.match.screen import Screen, screen_places, turns_within
+from skyline.match.screen import Alike, Screen, rescored, screen_places, turns_within, waves_of
+from skyline.store.places import decode_phases
 
 FOVS_DEG = np.array([57.0, 60.0, 63.0])
 every = NOTHING_KNOWN.contains
@@ -28,8 +29,8 @@ def test_a_smooth_skyline_is_found_whatever_the_roll(roll_deg):
     # Taken to be level, 63 or 21 of the others are more like a camera rolled by -5 or 3 degrees.
     smooth = places_of(np.stack([0.1 * curve(seed, AZIMUTH_DEG) for seed in range(64)]))
     u, v = photo(lambda azimuth: 0.1 * curve(7, azimuth), 100.0, roll_deg=roll_deg)
-    query = equally_trusted(u, v, 60.0)
-    screen = Screen(query, np.array([60.0]), smooth)
+    seen = equally_trusted(u, v, 60.0)
+    screen = Screen(seen, np.array([60.0]), smooth)
     assert screen.scores(smooth.phase).argmax() == 7
 
 
@@ -45,11 +46,11 @@ def test_blocks_change_nothing(places, size, count):
 
 
 def test_an_unlikely_field_of_view_loses_its_penalty(places):
-    query, penalty = wide(3, 100.0), np.array([2.0, 0.0, 1.5])
+    seen, penalty = wide(3, 100.0), np.array([2.0, 0.0, 1.5])
     fovs = (FOVS_DEG[k : k + 1] for k in range(3))
-    alone = [Screen(query, fov, places).scores(places.phase) for fov in fovs]
+    alone = [Screen(seen, fov, places).scores(places.phase) for fov in fovs]
     expected = (np.array(alone) - penalty[:, np.newaxis]).max(axis=0)
-    scores = Screen(query, FOVS_DEG, places, penalty=penalty).scores(places.phase)
+    scores = Screen(seen, FOVS_DEG, places, penalty=penalty).scores(places.phase)
     # float32 of scores that reach a hundred.
     np.testing.assert_allclose(scores, expected, atol=1e-4)
 
@@ -68,3 +69,34 @@ def test_shut_turns_are_not_looked_at(places):
     screen = Screen(wide(11, 200.0), FOVS_DEG, places, turns)
     heading_deg, *_ = screen.best_turns(places.phase, 4)
     assert (np.abs((heading_deg - 20.0 + 180.0) % 360.0 - 180.0) <= 17.0).all()
+
+
+def test_a_coarse_screen_compares_a_level_camera_at_every_other_turn(places):
+    seen = wide(11, 200.0)
+    coarse = Screen(seen, np.array([60.0]), places, coarse=True)
+    waves = waves_of(seen.with_fov(60.0))
+    place = decode_phases(places.phase)
+    sums = np.stack(
+        [
+            (waves * np.roll(place, -turn, axis=1).conj()).sum(axis=1).real
+            for turn in range(0, 180, 2)
+        ]
+    )
+    expected = (sums.max(axis=0) - sums.mean()) / sums.std()
+    np.testing.assert_allclose(coarse.scores(places.phase), expected, rtol=1e-3)
+
+
+def test_a_coarse_screen_looks_beside_a_narrow_range_of_headings(places):
+    """Of the turns within 1 degree of 21, each 2 degrees wide, some may not be compared."""
+    coarse = Screen(wide(11, 200.0), FOVS_DEG, places, turns_within(21.0, 0.5), coarse=True)
+    assert np.isfinite(coarse.scores(places.phase)).all()
+
+
+def test_places_get_other_scores_in_a_new_order(places):
+    screen = Screen(wide(11, 200.0), FOVS_DEG, places)
+    some = Alike(np.array([3, 11, 40, 5]), np.array([4.0, 3.0, 2.0, 1.0], dtype=np.float32))
+    found = rescored(screen.scores, Blocks(places, 7), some)
+    score = screen.scores(places.phase)
+    assert found.row[0] == 11
+    assert sorted(found.row) == [3, 5, 11, 40]
+    np.testing.assert_allclose(found.score, score[found.row], rtol=1e-5)
