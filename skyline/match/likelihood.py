@@ -58,6 +58,8 @@ class ErrorModel:
 
 
 _MODEL = ErrorModel()
+_DENSITY_ABOVE = _MODEL.above_share / _MODEL.range_rad
+_DENSITY_BELOW = _MODEL.below_share / _MODEL.range_rad
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -149,14 +151,15 @@ class Likelihood(Rows):
     """(M, K, K) float64. Inverse of I + factor^T weight factor."""
 
     def product(self, left: Float64Array, right: Float64Array) -> Float64Array:
-        """Return left^T C^-1 right (M, P, Q), C the covariance.
+        """Return left C^-1 right^T (M, P, Q), C the covariance.
 
-        ``left`` is (M, R, P), ``right`` (M, R, Q).
+        ``left`` is (M, P, R), ``right`` (M, Q, R).
         """
-        weighted = self.weight[..., np.newaxis] * right
-        left_nodes = (self.weight[..., np.newaxis] * left).swapaxes(1, 2) @ self.factor
-        right_nodes = self.inner @ (self.factor.swapaxes(1, 2) @ weighted)
-        return np.asarray(left.swapaxes(1, 2) @ weighted - left_nodes @ right_nodes)
+        weighted = self.weight[:, np.newaxis] * right
+        left_weighted = weighted if left is right else self.weight[:, np.newaxis] * left
+        left_nodes = left_weighted @ self.factor
+        right_nodes = self.inner @ (weighted @ self.factor).swapaxes(1, 2)
+        return np.asarray(left @ weighted.swapaxes(1, 2) - left_nodes @ right_nodes)
 
     def scaled(self) -> "Likelihood":
         """Return the likelihood with all errors times their likeliest factor.
@@ -226,28 +229,30 @@ def likelihood(
     spread = ((factor @ inner) * factor).sum(axis=-1)
     off = residual - explained
     bare: Float64Array | float = 1.0 - _MODEL.above_share - _MODEL.below_share
-    other = density_without_terrain(residual)
+    other = log_density_without_terrain(residual)
     limited = np.isfinite(errors.rise_rad)
     open_ = errors.beyond_rad > 0.0
     if limited.any():
         shown = 1.0 - 2.0 * _MODEL.below_share
         covered, density = _raised(off, errors.rise_rad, np.sqrt(variance + spread), shown)
         bare = np.where(limited, shown - covered, bare)
-        other = np.where(limited, scale * (density + _MODEL.below_share / _MODEL.range_rad), other)
+        density = scale * (density + _MODEL.below_share / _MODEL.range_rad)
+        other = np.where(limited, np.log(density), other)
     if open_.any():
         sd_rad = np.sqrt(variance + spread)
         hidden, density = _raised(off, errors.beyond_rad, sd_rad, _MODEL.beyond_share)
         bare = np.where(open_, bare * (1.0 - hidden), bare)
-        other = np.where(open_, other * (1.0 - hidden) + scale * density, other)
+        either = np.exp(other) * (1.0 - hidden) + scale * density
+        other = np.where(open_, np.log(either), other)
     terrain = np.log(bare) - 0.5 * np.log(2.0 * np.pi * variance / scale**2)
-    other = np.log(other)
-    logit = terrain - 0.5 * (off**2 + spread) / variance - other
-    odds = known / (1.0 + np.exp(-np.clip(logit, -50.0, 50.0)))
+    terrain_off = terrain - 0.5 * (off**2 + spread) / variance
+    ratio = np.exp(np.clip(terrain_off - other, -50.0, 50.0))
+    odds = known * ratio / (1.0 + ratio)
     weight = trust * odds / variance
     explained, inner, half_log_det = _explained(residual, weight, factor)
-    rest = 1.0 - odds
-    entropy = odds * np.log(np.maximum(odds, 1e-12)) + rest * np.log(np.maximum(rest, 1e-12))
-    each = entropy - odds * terrain - rest * other
+    # The entropy of these odds, and the log densities that they weigh, add up to one logarithm.
+    each = -other - known * np.log1p(ratio)
+    each += odds * (terrain_off - terrain)
     fit = 0.5 * (weight * residual * (residual - explained)).sum(axis=1)
     cost = each @ trust + half_log_det + fit
     return Likelihood(cost, fit, odds, trust * odds, angle_rad**2 / variance, weight, factor, inner)
@@ -258,8 +263,13 @@ def density_without_terrain(residual_rad: Float64Array) -> Float64Array:
 
     It includes the prior probability of such a column, and is larger above the terrain's skyline.
     """
-    share = np.where(residual_rad >= 0.0, _MODEL.above_share, _MODEL.below_share)
-    return np.asarray(share / _MODEL.range_rad)
+    return np.asarray(np.where(residual_rad >= 0.0, _DENSITY_ABOVE, _DENSITY_BELOW))
+
+
+def log_density_without_terrain(residual_rad: Float64Array) -> Float64Array:
+    """Return the logarithm of `density_without_terrain`."""
+    above = np.log(_DENSITY_ABOVE)
+    return np.asarray(np.where(residual_rad >= 0.0, above, np.log(_DENSITY_BELOW)))
 
 
 def _raised(

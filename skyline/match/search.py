@@ -120,21 +120,22 @@ class FullMatcher(SearchMethod):
 
         The refined ones are None without a scene. The most promising places come first, with a
         quick refinement. That is enough where one place fits far better than any other, as with
-        most skylines. Otherwise all places that are worth a fit are tried, and at last with more
-        effort. Raises as `search`.
+        most skylines. Otherwise all places that are worth a fit are tried, with more effort. Raises
+        as `search`.
         """
-        lists = self.retriever.shortlists(rays, self._shortlist, prior, report)
         scene = self._scene
+        lists = self.retriever.shortlists(rays, self._shortlist, prior, report)
+        found = next(lists)
         if scene is None:
-            *_, found = lists
-            return found, None
+            return next(lists, found), None
         noted = self._near_noted(rays, prior, report)
-        for found in lists:
-            start = _with_noted(found, noted)
-            poses = Refinement(rays, scene, QUICK, prior, report=report).run(start)
-            if len(poses) and poses.figures().margin[0] > self.sure_margin:
-                return found, poses
-        return found, Refinement(rays, scene, WHOLE, prior, report=report).run(start)
+        quick = Refinement(rays, scene, QUICK, prior, report=report)
+        poses = quick.run(_with_noted(found, noted))
+        if len(poses) and poses.figures().margin[0] > self.sure_margin:
+            return found, poses
+        found = next(lists, found)
+        whole = Refinement(rays, scene, WHOLE, prior, report=report)
+        return found, whole.run(_with_noted(found, noted))
 
     @one_blas_thread()
     def other_projection(self, rays: Rays, best: Pose, prior: Prior) -> OtherProjection | None:

@@ -200,7 +200,7 @@ class Linearization:
     residual_rad: Float64Array
     """(M, R) float64. Photo minus terrain; NaN where the terrain is unknown."""
     jacobian: Float64Array
-    """(M, R, P) float64. 0 where the terrain is unknown."""
+    """(M, P, R) float64. 0 where the terrain is unknown."""
     azimuth_rad: Float64Array
     """(M, R) float64. Azimuth of the terrain's skyline in each column."""
     distance_m: Float64Array
@@ -390,13 +390,16 @@ class Solver:
         # Differences of tangents become angles; the derivative of this factor is left out.
         to_angle = 1.0 / (1.0 + ray_y**2)
         attitude = ray_change - slope * turned_change
-        jacobian = np.concatenate([-change, -slope, attitude], axis=-1) * to_angle[..., np.newaxis]
+        change = np.concatenate([-change, -slope, attitude], axis=-1)
+        # Products are over the columns, which lie together.
+        jacobian = np.ascontiguousarray(change.swapaxes(1, 2))
+        jacobian *= to_angle[:, np.newaxis]
         residual = (ray_y - y) * to_angle
         # Next to an unknown column the curve may be known but not its slope.
-        known = np.isfinite(residual) & np.isfinite(jacobian).all(axis=-1)
+        known = np.isfinite(residual) & np.isfinite(jacobian).all(axis=1)
         return Linearization(
             np.where(known, residual, np.nan),
-            np.where(known[..., np.newaxis], jacobian, 0.0),
+            np.where(known[:, np.newaxis], jacobian, 0.0),
             azimuth,
             skyline[..., 5],
             skyline[..., 6] * to_angle if skyline.shape[-1] > 6 else None,
@@ -419,7 +422,7 @@ class Solver:
 
     def _errors(self, linear: Linearization, curves: Curves) -> HeightErrors:
         step_rad = 2.0 * np.pi / curves.channels.shape[1]
-        blur_rad = _PRIORS.blur_steps * step_rad * np.abs(linear.jacobian[..., HEADING])
+        blur_rad = _PRIORS.blur_steps * step_rad * np.abs(linear.jacobian[:, HEADING])
         return HeightErrors.of(
             linear.azimuth_rad,
             linear.distance_m,
@@ -446,7 +449,8 @@ class Solver:
         # Laplace's approximation to the integral over the attitude. Without it errors that are too
         # small win, as much of the error hides in pitch, roll and the field of view.
         attitude = slice(HEADING, None)
-        normal = found.product(linear.jacobian[..., attitude], linear.jacobian[..., attitude])
+        change = linear.jacobian[:, attitude]
+        normal = found.product(change, change)
         _, log_det = np.linalg.slogdet(normal + np.diag(self._information[attitude]))
         prior = 0.5 * fit.state**2 @ self._prior
         prior += _PRIORS.terrain_weight * self._eye.cost(fit.state[:, EYE_HEIGHT])
@@ -491,7 +495,7 @@ class Solver:
         self, fit: Fit, linear: Linearization, found: Likelihood, step_m: Float64Array
     ) -> Fit:
         """Return the fit after one step within the bounds of the state."""
-        miss = np.nan_to_num(linear.residual_rad)[..., np.newaxis]
+        miss = np.nan_to_num(linear.residual_rad)[:, np.newaxis]
         # The prior pulls the eye to the curve's eye, and the other unknowns to usual values.
         height_m = fit.state[:, EYE_HEIGHT]
         step_m = np.maximum(step_m, _NO_STEP_M)
@@ -507,7 +511,7 @@ class Solver:
         normal = found.product(linear.jacobian, linear.jacobian)
         normal += (prior + damping)[:, np.newaxis] * np.eye(self.size)
         gradient = found.product(linear.jacobian, miss)[..., 0] + prior * off
-        gradient[:, LOG_SCALE] -= found.log_scale_pull(miss[..., 0])
+        gradient[:, LOG_SCALE] -= found.log_scale_pull(miss[:, 0])
         self._pull_to_noted(linear, normal, gradient)
         state = fit.state - np.linalg.solve(normal, gradient[..., np.newaxis])[..., 0]
         bounded = np.clip(state, self._low, self._high)

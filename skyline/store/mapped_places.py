@@ -140,7 +140,9 @@ class PlaceMap:
     def _bytes_of(self, name: str, rows: IntArray) -> UInt8Array:
         """Return a dataset's bytes (M, bytes of a row) of some rows."""
         chunk, row = np.divmod(rows, self._size)
-        found: UInt8Array = self._rows[name][self._at[name][chunk] + row * self._types[name].itemsize]
+        found: UInt8Array = self._rows[name][
+            self._at[name][chunk] + row * self._types[name].itemsize
+        ]
         return found
 
     def _check_length(self) -> None:

@@ -122,7 +122,7 @@ def test_products_are_those_of_the_whole_covariance():
     residual = np.random.default_rng(2).normal(0.0, 0.001, (1, 40))
     found = likelihood(residual, np.ones(40), errors, ANGLE_DEG, HEIGHT_M, np.ones((1, 40)))
     covariance = found.factor[0] @ found.factor[0].T + np.diag(1.0 / found.weight[0])
-    left, right = np.random.default_rng(3).normal(size=(2, 1, 40, 3))
-    expected = left[0].T @ np.linalg.solve(covariance, right[0])
+    left, right = np.random.default_rng(3).normal(size=(2, 1, 3, 40))
+    expected = left[0] @ np.linalg.solve(covariance, right[0].T)
     np.testing.assert_allclose(found.product(left, right)[0], expected, rtol=1e-6)
     assert found.effective_columns[0] < found.odds.sum() - 2.0

@@ -67,7 +67,7 @@ def test_derivatives_agree_with_differences(rays):
         expected = (after - before) / (2.0 * move[k])
         # Curves are linear between bins, so slopes agree on average, not at every point; and
         # the factor from tangents to angles counts as constant.
-        off = there.jacobian[0, :, k] - expected
+        off = there.jacobian[0, k] - expected
         assert np.sqrt(np.mean(off**2)) < 0.05 * np.sqrt(np.mean(expected**2)) + 1e-9, k
 
 
