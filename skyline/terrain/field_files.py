@@ -46,7 +46,10 @@ from skyline.terrain.resampling import Warp
 SUFFIX = ".terrain"
 """The suffix of the files."""
 
-_FORMAT = "skyline terrain 2"
+FORMAT = 2
+"""The number of the files' form, which changes with it; form 1 was read whole."""
+
+_FORMAT = f"skyline terrain {FORMAT}"
 _PAGE = 4096
 _FACTS = np.dtype([("digest", "S64"), ("source_sum", "<u4")])
 """Digest of the field and checksum of the source; empty and 0 where they are not known."""

@@ -69,7 +69,7 @@ def place_of(names: Sequence[str], options: DemOptions) -> Path | None:
 
     It is None for files that may change unnoticed.
     """
-    beside: dict[Path, list[Path]] = {}
+    beside: dict[Path, dict[str, list[Path]]] = {}
     files: list[Path] = []
     for name in names:
         path = Path(name)
@@ -77,16 +77,26 @@ def place_of(names: Sequence[str], options: DemOptions) -> Path | None:
         if not is_known or archive_of(name) or not is_file(name):
             return None
         if path.parent not in beside:
-            beside[path.parent] = sorted(path.parent.iterdir())
-        stem = path.name.split(".")[0] + "."
-        files += [
-            one for one in beside[path.parent] if one.name.startswith(stem) and one.suffix != ".h5"
-        ]
+            beside[path.parent] = _by_stem(path.parent)
+        files += beside[path.parent][_stem(path)]
     versions = [(str(file), version_of(file)) for file in dict.fromkeys(files)]
     code = [(str(one), version_of(one)) for folder in _CODE for one in sorted(folder.glob("*.py"))]
     parts = repr((list(names), versions, options, code))
     digest = hashlib.sha256(parts.encode("utf-8", "surrogateescape")).hexdigest()[:24]
     return models_folder() / f"{digest}{SUFFIX}"
+
+
+def _by_stem(folder: Path) -> dict[str, list[Path]]:
+    """Return the files of a folder by the beginning of their names, without stores."""
+    found: dict[str, list[Path]] = {}
+    for path in sorted(folder.iterdir()):
+        if path.suffix != ".h5":
+            found.setdefault(_stem(path), []).append(path)
+    return found
+
+
+def _stem(path: Path) -> str:
+    return path.name.split(".")[0]
 
 
 def kept_model(place: Path) -> HeightField | None:

@@ -152,6 +152,10 @@ class Blocks:
         return rows, cols
 
 
+def _nothing_left(rows: slice, cols: slice) -> Float32Array:
+    raise AssertionError(f"the block at {rows}, {cols} was made")
+
+
 class LazyHeights:
     """The heights of a grid, made block by block by ``make``.
 
@@ -206,7 +210,9 @@ class LazyHeights:
 
     def whole(self) -> Float32Array:
         """Return all heights, read-only."""
-        return self.part(slice(0, self.shape[0]), slice(0, self.shape[1]))
+        heights_m = self.part(slice(0, self.shape[0]), slice(0, self.shape[1]))
+        self._make = _nothing_left  # What the blocks were made from may go.
+        return heights_m
 
     def highest_m(self, rows: slice, cols: slice) -> float:
         """Return a bound above the heights of a part.
