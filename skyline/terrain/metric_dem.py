@@ -48,7 +48,7 @@ class Source:
     def in_memory(self) -> LazyHeights:
         """Return the metric heights, whose blocks are kept in memory."""
         target = self.warp.target
-        return LazyHeights(Blocks((target.rows, target.cols)), self.block, self.bounds_m)
+        return LazyHeights(Blocks.in_memory((target.rows, target.cols)), self.block, self.bounds_m)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -93,7 +93,7 @@ def test_the_range_is_exact_though_few_blocks_are_made():
         made.append((rows, cols))
         return source.block(rows, cols)
 
-    lazy = LazyHeights(Blocks(whole.shape), make, source.bounds_m)
+    lazy = LazyHeights(Blocks.in_memory(whole.shape), make, source.bounds_m)
     assert lazy.range_m() == (np.nanmin(whole), np.nanmax(whole))
     assert len(made) < source.bounds_m[0].size / 2
 
