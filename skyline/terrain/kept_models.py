@@ -12,6 +12,7 @@ import shutil
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
+from importlib.metadata import version
 from pathlib import Path
 
 from skyline.errors import SkylineError
@@ -32,6 +33,9 @@ _MOST_OF_FREE = 0.1
 
 _CODE = (Path(__file__).parent, Path(__file__).parents[1] / "geodesy")
 """The code on which heights depend."""
+
+_LIBRARIES = ("numpy", "pyproj", "rasterio", "scipy")
+"""The libraries on which heights depend; GDAL and PROJ come with two of them."""
 
 _log = logging.getLogger(__name__)
 
@@ -81,7 +85,8 @@ def place_of(names: Sequence[str], options: DemOptions) -> Path | None:
         files += beside[path.parent][_stem(path)]
     versions = [(str(file), version_of(file)) for file in dict.fromkeys(files)]
     code = [(str(one), version_of(one)) for folder in _CODE for one in sorted(folder.glob("*.py"))]
-    parts = repr((list(names), versions, options, code))
+    libraries = [(one, version(one)) for one in _LIBRARIES]
+    parts = repr((list(names), versions, options, code, libraries))
     digest = hashlib.sha256(parts.encode("utf-8", "surrogateescape")).hexdigest()[:24]
     return models_folder() / f"{digest}{SUFFIX}"
 
@@ -149,7 +154,10 @@ def _has_room(folder: Path, dem: MetricDem) -> bool:
 
 @contextmanager
 def noted_warnings() -> Iterator[list[LoggedWarning]]:
-    """Collect the warnings that this thread logs about terrain in the block."""
+    """Collect the warnings that this thread logs about terrain in the block.
+
+    They are collected even if they are not shown, since a later run may show them.
+    """
     noted: list[LoggedWarning] = []
     thread = threading.get_ident()
 
@@ -160,8 +168,15 @@ def noted_warnings() -> Iterator[list[LoggedWarning]]:
 
     notes = _Notes(logging.WARNING)
     logger = logging.getLogger("skyline.terrain")
+    level = logger.level
+    propagates = logger.propagate
+    if not logger.isEnabledFor(logging.WARNING):
+        logger.setLevel(logging.WARNING)
+        logger.propagate = False
     logger.addHandler(notes)
     try:
         yield noted
     finally:
         logger.removeHandler(notes)
+        logger.setLevel(level)
+        logger.propagate = propagates
