@@ -1,11 +1,11 @@
 """The areas that `locate` keeps: elevation tiles, and a store of places.
 
 An area is the folder ``CACHE/areas/ORIGIN/W_S_E_N``. It holds the store, ``places-DIGEST.h5``, and
-the elevation model as it was read, ``places-DIGEST.terrain``; also ``tiles/``, unless the user gave
-the DEM. ORIGIN contains a digest of the source. If the user gave the DEM, it contains a digest of
-the names, sizes and times of its files and of the files that GDAL reads beside them. DIGEST covers
-everything else on which a store's rows depend. A store appears when it is finished, so a search
-that finds one needs no server.
+the elevation model as it was read, ``places-DIGEST-FORM.terrain``; also ``tiles/``, unless the user
+gave the DEM. ORIGIN contains a digest of the source. If the user gave the DEM, it contains a digest
+of the names, sizes and times of its files and of the files that GDAL reads beside them. DIGEST
+covers everything else on which a store's rows depend. A store appears when it is finished, so a
+search that finds one needs no server.
 """
 
 import errno
@@ -36,7 +36,7 @@ from skyline.survey.build import build_places
 from skyline.survey.plans import DEFAULT_LOSSES, DEFAULT_PLACES, map_bounds
 from skyline.terrain.dem import read_dem
 from skyline.terrain.dem_files import Paths, dem_names
-from skyline.terrain.field_files import SUFFIX, save_field
+from skyline.terrain.field_files import FORMAT, SUFFIX, save_field
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.kept_models import remove_models
 from skyline.terrain.raster_files import files_of
@@ -214,7 +214,8 @@ def _digest(*parts: object) -> str:
 _MAKING = SCHEMA_VERSION, DEFAULT_PLACES, DEFAULT_LOSSES, PLACE_CODING, TRUE_DEG
 _STORE = f"places-{_digest(*_MAKING)}.h5"
 """Name of a store. Releases that would build different stores give it different names."""
-_TERRAIN = str(Path(_STORE).with_suffix(SUFFIX))
+_TERRAIN = f"{Path(_STORE).stem}-{FORMAT}{SUFFIX}"
+"""Name of an elevation model. An area whose model has another form is completed anew."""
 
 
 def _origin(files: Sequence[str], source: str) -> str:

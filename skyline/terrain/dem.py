@@ -29,7 +29,7 @@ def read_dem(paths: Dem, options: DemOptions | None = None) -> HeightField:
     filled on the files' own grid, before anything is resampled. A DEM in a metric CRS whose map is
     true here (`skyline.geodesy.map_frame.Frame.untrue_deg`) keeps that grid. Any other, and one in
     degrees or feet, or whose axes point south or west, is warped once to the transverse Mercator
-    frame centred on it, with every summit as high as it was (`skyline.terrain.resampling.warp`);
+    frame centred on it, with every summit as high as it was (`skyline.terrain.resampling.Warp`);
     samples of the box around it that lie outside the DEM are NaN and counted nowhere. Heights are
     converted from the unit of the band, or of the CRS's vertical axis.
 

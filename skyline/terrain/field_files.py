@@ -46,8 +46,13 @@ from skyline.terrain.resampling import Warp
 SUFFIX = ".terrain"
 """The suffix of the files."""
 
-_FORMAT = "skyline terrain 2"
+FORMAT = 2
+"""The number of the files' form, which changes with it; form 1 was read whole."""
+
+_FORMAT = f"skyline terrain {FORMAT}"
 _PAGE = 4096
+_LONGEST_LINE = 1 << 26
+"""Bytes of a line of JSON, which has the names of all files."""
 _FACTS = np.dtype([("digest", "S64"), ("source_sum", "<u4")])
 """Digest of the field and checksum of the source; empty and 0 where they are not known."""
 
@@ -200,7 +205,7 @@ def _field_in(file: BinaryIO, path: Path, fresh: MetricDem | None) -> HeightFiel
 
     Raises `ValueError` for any other file.
     """
-    head = file.readline(1 << 20)
+    head = file.readline(_LONGEST_LINE)
     about = json.loads(head) if head.endswith(b"\n") else {}
     if about.get("format") != _FORMAT:
         raise ValueError("another format")

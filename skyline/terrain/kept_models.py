@@ -12,6 +12,7 @@ import shutil
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
+from importlib.metadata import version
 from pathlib import Path
 
 from skyline.errors import SkylineError
@@ -32,6 +33,9 @@ _MOST_OF_FREE = 0.1
 
 _CODE = (Path(__file__).parent, Path(__file__).parents[1] / "geodesy")
 """The code on which heights depend."""
+
+_LIBRARIES = ("numpy", "pyproj", "rasterio", "scipy")
+"""The libraries on which heights depend; GDAL and PROJ come with two of them."""
 
 _log = logging.getLogger(__name__)
 
@@ -69,7 +73,7 @@ def place_of(names: Sequence[str], options: DemOptions) -> Path | None:
 
     It is None for files that may change unnoticed.
     """
-    beside: dict[Path, list[Path]] = {}
+    beside: dict[Path, dict[str, list[Path]]] = {}
     files: list[Path] = []
     for name in names:
         path = Path(name)
@@ -77,16 +81,27 @@ def place_of(names: Sequence[str], options: DemOptions) -> Path | None:
         if not is_known or archive_of(name) or not is_file(name):
             return None
         if path.parent not in beside:
-            beside[path.parent] = sorted(path.parent.iterdir())
-        stem = path.name.split(".")[0] + "."
-        files += [
-            one for one in beside[path.parent] if one.name.startswith(stem) and one.suffix != ".h5"
-        ]
+            beside[path.parent] = _by_stem(path.parent)
+        files += beside[path.parent][_stem(path)]
     versions = [(str(file), version_of(file)) for file in dict.fromkeys(files)]
     code = [(str(one), version_of(one)) for folder in _CODE for one in sorted(folder.glob("*.py"))]
-    parts = repr((list(names), versions, options, code))
+    libraries = [(one, version(one)) for one in _LIBRARIES]
+    parts = repr((list(names), versions, options, code, libraries))
     digest = hashlib.sha256(parts.encode("utf-8", "surrogateescape")).hexdigest()[:24]
     return models_folder() / f"{digest}{SUFFIX}"
+
+
+def _by_stem(folder: Path) -> dict[str, list[Path]]:
+    """Return the files of a folder by the beginning of their names, without stores."""
+    found: dict[str, list[Path]] = {}
+    for path in sorted(folder.iterdir()):
+        if path.suffix != ".h5":
+            found.setdefault(_stem(path), []).append(path)
+    return found
+
+
+def _stem(path: Path) -> str:
+    return path.name.split(".")[0]
 
 
 def kept_model(place: Path) -> HeightField | None:
@@ -139,7 +154,10 @@ def _has_room(folder: Path, dem: MetricDem) -> bool:
 
 @contextmanager
 def noted_warnings() -> Iterator[list[LoggedWarning]]:
-    """Collect the warnings that this thread logs about terrain in the block."""
+    """Collect the warnings that this thread logs about terrain in the block.
+
+    They are collected even if they are not shown, since a later run may show them.
+    """
     noted: list[LoggedWarning] = []
     thread = threading.get_ident()
 
@@ -150,8 +168,15 @@ def noted_warnings() -> Iterator[list[LoggedWarning]]:
 
     notes = _Notes(logging.WARNING)
     logger = logging.getLogger("skyline.terrain")
+    level = logger.level
+    propagates = logger.propagate
+    if not logger.isEnabledFor(logging.WARNING):
+        logger.setLevel(logging.WARNING)
+        logger.propagate = False
     logger.addHandler(notes)
     try:
         yield noted
     finally:
         logger.removeHandler(notes)
+        logger.setLevel(level)
+        logger.propagate = propagates

@@ -4,6 +4,7 @@ A skyline sees a small part of a large model. The samples of a model that is war
 made where someone looks, and kept in memory or in a file (`skyline.terrain.field_files`).
 """
 
+import errno
 import itertools
 import os
 import threading
@@ -86,15 +87,20 @@ class Blocks:
     They are in memory or in a file.
     """
 
-    def __init__(self, shape: Shape) -> None:
-        """Make a grid in memory, of which no block is known."""
-        self.values: Float32Array = np.empty(shape, dtype=np.float32)
-        """(rows, cols); blocks that are not known hold anything."""
-        self.is_known: BoolArray = np.zeros(block_counts(shape), dtype=np.bool_)
+    def __init__(self, values: Float32Array) -> None:
+        """Take the array (rows, cols) of the samples, of which no block is known."""
+        self.values = values
+        self.is_known: BoolArray = np.zeros(block_counts(self._shape), dtype=np.bool_)
+        """Which blocks (R, C) hold their samples; the others may hold anything."""
         self._sums: UInt32Array | None = None
         self._file: int | None = None
         self._offset = 0
         self._lock = threading.Lock()
+
+    @classmethod
+    def in_memory(cls, shape: Shape) -> "Blocks":
+        """Return a grid in memory, of which no block is known."""
+        return cls(np.empty(shape, dtype=np.float32))
 
     @classmethod
     def in_file(
@@ -106,9 +112,7 @@ class Blocks:
         known once its checksum was compared, so that a file whose writing was cut short gives no
         wrong height.
         """
-        blocks = cls((0, 0))
-        blocks.values = values
-        blocks.is_known = np.zeros(sums.shape, dtype=np.bool_)
+        blocks = cls(values)
         blocks._sums = sums
         blocks._file = os.dup(file.fileno())
         blocks._offset = offset
@@ -144,12 +148,17 @@ class Blocks:
         """Write samples; through a map, a full disk would end the process."""
         for row, line in zip(range(rows.start, rows.stop), samples, strict=True):
             at = self._offset + 4 * (row * self._shape[1] + cols.start)
-            os.pwrite(file, np.ascontiguousarray(line).data, at)
+            if os.pwrite(file, np.ascontiguousarray(line).data, at) < line.nbytes:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     @property
     def _shape(self) -> Shape:
         rows, cols = self.values.shape
         return rows, cols
+
+
+def _nothing_left(rows: slice, cols: slice) -> Float32Array:
+    raise AssertionError(f"the block at {rows}, {cols} was made")
 
 
 class LazyHeights:
@@ -206,7 +215,9 @@ class LazyHeights:
 
     def whole(self) -> Float32Array:
         """Return all heights, read-only."""
-        return self.part(slice(0, self.shape[0]), slice(0, self.shape[1]))
+        heights_m = self.part(slice(0, self.shape[0]), slice(0, self.shape[1]))
+        self._make = _nothing_left  # What the blocks were made from may go.
+        return heights_m
 
     def highest_m(self, rows: slice, cols: slice) -> float:
         """Return a bound above the heights of a part.

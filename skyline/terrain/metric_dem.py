@@ -48,7 +48,7 @@ class Source:
     def in_memory(self) -> LazyHeights:
         """Return the metric heights, whose blocks are kept in memory."""
         target = self.warp.target
-        return LazyHeights(Blocks((target.rows, target.cols)), self.block, self.bounds_m)
+        return LazyHeights(Blocks.in_memory((target.rows, target.cols)), self.block, self.bounds_m)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,7 +70,7 @@ def metric_dem(mosaic: "Mosaic", options: DemOptions) -> MetricDem:
     Heights are repaired on their files' own grid, and warped where its map cannot be the frame.
     Warns where the DEM lies far off the area of its CRS, and where a projected map is not used.
     Raises `InputError` where the DEM lies nowhere on Earth or has no height at all, and as
-    `skyline.terrain.resampling.warp`.
+    `skyline.terrain.resampling.Warp`.
     """
     crs = mosaic.crs
     grid = mosaic.grid

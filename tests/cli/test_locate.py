@@ -201,3 +201,15 @@ def test_other_files_of_a_name_and_files_beside_a_dem_tell_areas_apart(one_degre
     copied = origin()
     (tmp_path / "dem.tif.aux.xml").write_text("<PAMDataset><SRS>EPSG:4258</SRS></PAMDataset>")
     assert len({first, copied, origin()}) == 3
+
+
+def test_an_area_without_a_model_of_this_form_keeps_its_store(one_degree, cache, tile_server):
+    """Earlier releases wrote models of another form, under another name."""
+    area = Area.around([PLACE], 1.5, 1.5)
+    made = prepare_area(area)
+    digest = skyline.read_dem(made.terrain).digest
+    before = made.store.stat().st_mtime_ns
+    made.terrain.unlink()
+    again = prepare_area(area)
+    assert again.store.stat().st_mtime_ns == before
+    assert skyline.read_dem(again.terrain).digest == digest

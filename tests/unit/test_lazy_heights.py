@@ -1,6 +1,7 @@
 """Heights that are made block by block are those of a whole reading, and stay in a file."""
 
 import itertools
+import logging
 import pickle
 from dataclasses import replace
 
@@ -93,7 +94,7 @@ def test_the_range_is_exact_though_few_blocks_are_made():
         made.append((rows, cols))
         return source.block(rows, cols)
 
-    lazy = LazyHeights(Blocks(whole.shape), make, source.bounds_m)
+    lazy = LazyHeights(Blocks.in_memory(whole.shape), make, source.bounds_m)
     assert lazy.range_m() == (np.nanmin(whole), np.nanmax(whole))
     assert len(made) < source.bounds_m[0].size / 2
 
@@ -180,6 +181,15 @@ def test_a_second_reading_gives_the_same_heights_and_warnings(large_dem, caplog)
     np.testing.assert_array_equal(again.heights_m, first.heights_m)
     assert (again.digest, again.provenance) == (digest, first.provenance)
     assert kept_models() == [kept]
+
+
+def test_warnings_of_a_quiet_reading_are_shown_by_the_next(large_dem, caplog):
+    caplog.set_level(logging.ERROR)
+    read_dem(large_dem)
+    assert not caplog.records
+    caplog.set_level(logging.WARNING)
+    read_dem(large_dem)
+    assert "samples of exactly 0 m" in caplog.text
 
 
 def test_a_dem_that_has_changed_is_read_anew(large_dem):

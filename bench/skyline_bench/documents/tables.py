@@ -638,12 +638,25 @@ def on_a_summit(results: Results) -> Table:
     return table
 
 
+def opening(results: Results) -> Table:
+    """Return the seconds of one answer in a new process."""
+    table = Table()
+    for name in dict.fromkeys(row["command"] for row in results.rows("opening")):
+        seconds = {
+            run: results.row("opening", command=name, run=run)["seconds"]
+            for run in ("first", "next")
+        }
+        shown = {run: f"{one:.1f} s" for run, one in seconds.items()}
+        table.append({"command": f"`skyline {name}`", **shown})
+    return table
+
+
 TABLES: Mapping[str, Callable[[Results], Table]] = {
     one.__name__.replace("_", "-"): one
     for one in (
         speed, adaptive, how_often, skylines, planning, predictors, places, other_terrain,
         placing_davos, placing_owens, figure_7, same_place, confidence, photographs, known_places,
-        made_photos, names_and_pixels, summits, on_a_summit, masks, large_area,
+        made_photos, names_and_pixels, summits, on_a_summit, masks, large_area, opening,
     )
 }  # fmt: skip
 """Tables by the names that pages have them under."""
