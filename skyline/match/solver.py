@@ -111,7 +111,7 @@ SCOUT = SolverMode(steps=3, choices=4, nodes=0, bins=480)
 """For a first look at many poses."""
 ROUGH = SolverMode(steps=3, choices=4, nodes=0)
 """For the search: quick, and it converges from farther away."""
-FOLLOW = SolverMode(steps=3, choices=1, nodes=0)
+FOLLOW = SolverMode(steps=3, choices=2, nodes=0)
 """For poses that move on after a rough fit: their errors change little from one rendering to the
 next, and choosing them is most of a fit's work."""
 FINE = SolverMode(steps=2, choices=1, nodes=32)
