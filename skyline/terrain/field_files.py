@@ -1,17 +1,19 @@
 """Files of height fields.
 
-Samples are mapped into memory, and read when they are first needed.
-A file begins with a line of JSON: the grid, the frame, the provenance and the warnings of the
-reading. Sections follow, each at a multiple of `_PAGE` bytes: facts that take a reading of all
-samples, bounds of the heights by block, checksums of the blocks, the samples, and the source.
-The source are the repaired samples on the grid of the DEM's files. A file that has one may lack
-blocks, which are made from it when they are first needed, and stay in the file.
+Samples are mapped into memory, and read when they are first needed. A file begins with a line of
+JSON: the grid, the frame, the provenance, the warnings of the reading, and checksums. The line
+ends with its own checksum. Sections follow, each at a multiple of `_PAGE` bytes: the digest of the
+field, if it is known; bounds of the heights by block; checksums of the blocks; the samples; and the
+source. The source is the repaired samples on the grid of the DEM's files. A file that has one may
+lack blocks, which are made from it when they are first needed, and stay in the file. Nothing in a
+file is believed before its checksum was compared.
 """
 
 import json
 import logging
 import math
 import os
+import zlib
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
@@ -23,6 +25,7 @@ from uuid import uuid4
 import numpy as np
 from numpy.typing import NDArray
 from pyproj import CRS
+from pyproj.exceptions import CRSError
 
 from skyline.arrays import Float32Array
 from skyline.errors import InputError, MissingFileError
@@ -46,15 +49,17 @@ from skyline.terrain.resampling import Warp
 SUFFIX = ".terrain"
 """The suffix of the files."""
 
-FORMAT = 2
-"""The number of the files' form, which changes with it; form 1 was read whole."""
+FORMAT = 3
+"""The number of the files' form, which changes with it."""
 
 _FORMAT = f"skyline terrain {FORMAT}"
 _PAGE = 4096
 _LONGEST_LINE = 1 << 26
 """Bytes of a line of JSON, which has the names of all files."""
-_FACTS = np.dtype([("digest", "S64"), ("source_sum", "<u4")])
-"""Digest of the field and checksum of the source; empty and 0 where they are not known."""
+_SUM_LENGTH = 8
+"""Characters of a checksum in text."""
+_DIGEST_LENGTH = 64
+"""Characters of the digest of a field."""
 
 LoggedWarning = tuple[str, str]
 """The name of a logger, and a message."""
@@ -81,12 +86,12 @@ class _Layout:
         return block_counts(self.shape)
 
     @property
-    def facts(self) -> int:
+    def digest(self) -> int:
         return _whole_pages(self.begin)
 
     @property
     def bounds(self) -> int:
-        return _whole_pages(self.facts + _FACTS.itemsize)
+        return _whole_pages(self.digest + _DIGEST_LENGTH + _SUM_LENGTH)
 
     @property
     def sums(self) -> int:
@@ -133,30 +138,32 @@ def save_dem(
     Its source is written if it has one, else its samples. `read_field` logs the warnings again.
     Raises `OSError` where the file cannot be written; it is written whole or not at all.
     """
+    source = dem.source
+    if source is not None:
+        bounds_m = source.bounds_m
+    else:
+        heights_m = np.asarray(dem.heights_m, dtype=np.float32)
+        bounds_m = bounds_of(heights_m)
     about = {
         "format": _FORMAT,
         "grid": asdict(dem.grid),
         "frame": dem.frame.wkt,
         "provenance": asdict(dem.provenance),
         "warnings": list(warnings),
-        "source": None if dem.source is None else dem.source.warp.to_dict(),
+        "bounds_sum": checksum(bounds_m),
+        "source": None if source is None else source.warp.to_dict(),
+        "source_sum": None if source is None else checksum(source.heights_m),
     }
-    head = json.dumps(about).encode() + b"\n"
+    head = _summed(json.dumps(about).encode()) + b"\n"
     layout = _Layout.of(about, len(head))
-    facts = np.zeros(1, _FACTS)
-    facts["digest"] = digest.encode()
-    sections: dict[int, NDArray[Any]] = {layout.facts: facts}
-    if dem.source is not None:
-        facts["source_sum"] = checksum(dem.source.heights_m)
-        sections[layout.bounds] = dem.source.bounds_m
-        sections[layout.source] = dem.source.heights_m
+    sections: dict[int, NDArray[Any]] = {layout.bounds: bounds_m}
+    if source is not None:
+        sections[layout.source] = source.heights_m
     else:
-        heights_m = np.asarray(dem.heights_m, dtype=np.float32)
-        sections[layout.bounds] = bounds_of(heights_m)
         sections[layout.sums] = np.array(
             [
                 checksum(heights_m[block_slices(layout.shape, *at)])
-                for at in np.ndindex(block_counts(layout.shape))
+                for at in np.ndindex(layout.counts)
             ],
             dtype=np.uint32,
         )
@@ -165,6 +172,9 @@ def save_dem(
     try:
         with partial_path.open("wb") as file:
             file.write(head)
+            if digest:
+                file.seek(layout.digest)
+                file.write(_summed(digest.encode()))
             for offset, values in sections.items():
                 file.seek(offset)
                 file.write(np.ascontiguousarray(values).data)
@@ -188,15 +198,15 @@ def read_field(path: Path, fresh: MetricDem | None = None) -> HeightField:
             return _field_in(file, path, fresh)
     except FileNotFoundError as error:
         raise MissingFileError(f"{path} does not exist; name the elevation files") from error
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, CRSError) as error:
         raise _damaged(path) from error
 
 
 def _opened(path: Path) -> BinaryIO:
-    """Open a file to read, and to write if that is allowed."""
+    """Open a file to read, and to write if that is possible."""
     try:
         return path.open("r+b", buffering=0)
-    except PermissionError:
+    except OSError:
         return path.open("rb", buffering=0)
 
 
@@ -206,21 +216,20 @@ def _field_in(file: BinaryIO, path: Path, fresh: MetricDem | None) -> HeightFiel
     Raises `ValueError` for any other file.
     """
     head = file.readline(_LONGEST_LINE)
-    about = json.loads(head) if head.endswith(b"\n") else {}
-    if about.get("format") != _FORMAT:
+    about = json.loads(_believed(head.removesuffix(b"\n")))
+    if about["format"] != _FORMAT:
         raise ValueError("another format")
     layout = _Layout.of(about, len(head))
     if os.fstat(file.fileno()).st_size != layout.end:
         raise ValueError("cut short")
+    bounds = os.pread(file.fileno(), 8 * math.prod(layout.counts), layout.bounds)
+    bounds_m = np.frombuffer(bounds, np.float32).reshape(2, *layout.counts)
+    if checksum(bounds_m) != about["bounds_sum"]:
+        raise ValueError("damaged bounds")
     with suppress(OSError):
         os.utime(path)  # Files that were not used for long are removed first.
     for logger, message in () if fresh else about["warnings"]:
         logging.getLogger(logger).warning("%s", message)
-    mode: Any = "r+" if file.writable() else "r"
-    facts = np.memmap(file, _FACTS, mode, layout.facts, (1,))
-    sums = np.memmap(file, np.uint32, mode, layout.sums, layout.counts)
-    bounds_m = np.memmap(file, np.float32, "r", layout.bounds, (2, *layout.counts))
-    samples = np.memmap(file, np.float32, "r", layout.samples, layout.shape)
     make: MakeBlock
     if layout.source_shape is None:
         make = partial(_no_block, path)
@@ -228,15 +237,40 @@ def _field_in(file: BinaryIO, path: Path, fresh: MetricDem | None) -> HeightFiel
         make = fresh.source.block
     else:
         heights_m = np.memmap(file, np.float32, "r", layout.source, layout.source_shape)
-        source = cache(partial(_source_of, path, about, heights_m, int(facts["source_sum"][0])))
+        source = cache(partial(_source_of, path, about, heights_m))
 
         def make(rows: slice, cols: slice) -> Float32Array:
             return source().block(rows, cols)
 
-    blocks = Blocks.in_file(file, layout.samples, samples, sums)
+    blocks = Blocks.in_file(file, layout.shape, layout.samples, layout.sums)
+    digest = os.pread(file.fileno(), _DIGEST_LENGTH + _SUM_LENGTH, layout.digest)
+
+    def keep_digest(digest: str) -> None:
+        blocks.note(layout.digest, _summed(digest.encode()))
+
+    heights = LazyHeights(blocks, make, bounds_m, _digest_in(digest), keep_digest)
     made = replace(Provenance(**about["provenance"]), files=tuple(about["provenance"]["files"]))
-    heights = LazyHeights(blocks, make, bounds_m, facts["digest"])
     return field_of(MetricDem(heights, Grid(**about["grid"]), Frame(about["frame"]), made))
+
+
+def _summed(content: bytes) -> bytes:
+    """Return content with its checksum."""
+    return content + b"%0*x" % (_SUM_LENGTH, zlib.crc32(content))
+
+
+def _believed(content: bytes) -> bytes:
+    """Return content without its checksum; `ValueError` unless it has it."""
+    believed = content[:-_SUM_LENGTH]
+    if _summed(believed) != content:
+        raise ValueError("another file, or a damaged one")
+    return believed
+
+
+def _digest_in(content: bytes) -> str:
+    """Return the digest in a file, empty where there is none."""
+    with suppress(ValueError):
+        return _believed(content).decode()
+    return ""
 
 
 def _damaged(path: Path) -> InputError:
@@ -245,22 +279,31 @@ def _damaged(path: Path) -> InputError:
     )
 
 
+def _removed(path: Path) -> InputError:
+    """Remove a file whose heights are damaged, and return the error for it."""
+    try:
+        path.unlink(missing_ok=True)
+    except OSError:
+        return InputError(f"{path} is damaged; remove it, and run the command again")
+    return InputError(f"{path} was damaged, and is removed; run the command again")
+
+
 def _no_block(path: Path, rows: slice, cols: slice) -> Float32Array:
-    raise _damaged(path)
+    raise _removed(path)
 
 
-def _source_of(
-    path: Path, about: Mapping[str, Any], heights_m: Float32Array, expected: int
-) -> Source:
+def _source_of(path: Path, about: Mapping[str, Any], heights_m: Float32Array) -> Source:
     """Return the source in a file.
 
     A file that is damaged is removed, and `InputError` raised.
     """
-    if checksum(heights_m) != expected:
-        path.unlink(missing_ok=True)
-        raise InputError(f"{path} was damaged, and is removed; run the command again")
+    if checksum(heights_m) != about["source_sum"]:
+        raise _removed(path)
     source = about["source"]
-    grid = Grid(**source["grid"])
-    crs = CRS.from_wkt(source["crs"])
-    warp = Warp(grid, crs, Frame(about["frame"]), source["spacing_m"])
+    warp = Warp(
+        Grid(**source["grid"]),
+        CRS.from_wkt(source["crs"]),
+        Frame(about["frame"]),
+        source["spacing_m"],
+    )
     return Source(heights_m.view(np.ndarray), warp)

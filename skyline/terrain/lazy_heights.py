@@ -16,7 +16,6 @@ from contextlib import suppress
 from typing import BinaryIO
 
 import numpy as np
-from numpy.typing import NDArray
 
 from skyline.arrays import BoolArray, Float32Array, Int64Array, UInt32Array
 
@@ -92,9 +91,11 @@ class Blocks:
         self.values = values
         self.is_known: BoolArray = np.zeros(block_counts(self._shape), dtype=np.bool_)
         """Which blocks (R, C) hold their samples; the others may hold anything."""
-        self._sums: UInt32Array | None = None
+        self._sums: UInt32Array = np.zeros(self.is_known.shape, dtype=np.uint32)
+        """Checksums (R, C) of the blocks in the file, 0 for the others."""
         self._file: int | None = None
         self._offset = 0
+        self._sums_offset = 0
         self._lock = threading.Lock()
 
     @classmethod
@@ -103,25 +104,24 @@ class Blocks:
         return cls(np.empty(shape, dtype=np.float32))
 
     @classmethod
-    def in_file(
-        cls, file: BinaryIO, offset: int, values: Float32Array, sums: UInt32Array
-    ) -> "Blocks":
-        """Return the grid that is mapped from an offset of a file.
+    def in_file(cls, file: BinaryIO, shape: Shape, offset: int, sums_offset: int) -> "Blocks":
+        """Return the grid whose samples and checksums are at offsets of a file.
 
-        ``sums`` are the checksums of its blocks, 0 for those that have yet to be made. A block is
-        known once its checksum was compared, so that a file whose writing was cut short gives no
-        wrong height.
+        A block without a checksum has yet to be made. Any other is known once its checksum was
+        compared, so that a file whose writing was cut short gives no wrong height.
         """
-        blocks = cls(values)
-        blocks._sums = sums
+        blocks = cls(np.memmap(file, np.float32, "r", offset, shape))
+        sums = os.pread(file.fileno(), blocks._sums.nbytes, sums_offset)
+        blocks._sums = np.frombuffer(sums, np.uint32).reshape(blocks._sums.shape).copy()
         blocks._file = os.dup(file.fileno())
         blocks._offset = offset
+        blocks._sums_offset = sums_offset
         weakref.finalize(blocks, os.close, blocks._file)
         return blocks
 
     def lacks(self, down: int, right: int) -> bool:
         """Return whether a block has yet to be made."""
-        if not self.is_known[down, right] and self._sums is not None and self._sums[down, right]:
+        if not self.is_known[down, right] and self._sums[down, right]:
             found = checksum(self.values[block_slices(self._shape, down, right)])
             self.is_known[down, right] = found == self._sums[down, right]
         return not self.is_known[down, right]
@@ -131,30 +131,55 @@ class Blocks:
 
         All samples go to memory once the file takes no more.
         """
-        rows, cols = block_slices(self._shape, down, right)
         with self._lock:
-            if self._file is not None and self._sums is not None:
+            if self._file is not None:
                 try:
-                    self._write(self._file, rows, cols, samples)
-                    self._sums[down, right] = checksum(samples)
-                except (OSError, ValueError):
-                    self.values = np.array(self.values)
-                    self._file = None
+                    self._write(self._file, down, right, samples)
+                except OSError:
+                    self._move_to_memory()
             if self._file is None:
-                self.values[rows, cols] = samples
+                self.values[block_slices(self._shape, down, right)] = samples
             self.is_known[down, right] = True
 
-    def _write(self, file: int, rows: slice, cols: slice, samples: Float32Array) -> None:
-        """Write samples; through a map, a full disk would end the process."""
+    def note(self, offset: int, content: bytes) -> None:
+        """Write a note at an offset of the file, if there is one that takes it."""
+        if self._file is not None:
+            with suppress(OSError):
+                write_at(self._file, offset, content)
+
+    def _write(self, file: int, down: int, right: int, samples: Float32Array) -> None:
+        """Write the samples of a block, then their checksum."""
+        rows, cols = block_slices(self._shape, down, right)
         for row, line in zip(range(rows.start, rows.stop), samples, strict=True):
             at = self._offset + 4 * (row * self._shape[1] + cols.start)
-            if os.pwrite(file, np.ascontiguousarray(line).data, at) < line.nbytes:
-                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            write_at(file, at, line.tobytes())
+        total = np.uint32(checksum(samples))
+        at = self._sums_offset + 4 * (down * self._sums.shape[1] + right)
+        write_at(file, at, total.tobytes())
+        self._sums[down, right] = total
+
+    def _move_to_memory(self) -> None:
+        """Copy the blocks that the file holds; where it has none, a disk may give no page."""
+        values = np.empty(self._shape, dtype=np.float32)
+        for down, right in np.argwhere(self.is_known | (self._sums > 0)):
+            block = block_slices(self._shape, down, right)
+            values[block] = self.values[block]
+        self.values = values
+        self._file = None
 
     @property
     def _shape(self) -> Shape:
         rows, cols = self.values.shape
         return rows, cols
+
+
+def write_at(file: int, offset: int, content: bytes) -> None:
+    """Write at an offset of an open file.
+
+    Raises `OSError` where the disk is full; through a map, that would end the process.
+    """
+    if os.pwrite(file, content, offset) < len(content):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
 def _nothing_left(rows: slice, cols: slice) -> Float32Array:
@@ -164,8 +189,8 @@ def _nothing_left(rows: slice, cols: slice) -> Float32Array:
 class LazyHeights:
     """The heights of a grid, made block by block by ``make``.
 
-    ``bounds_m`` are the lowest and the highest that each block may hold (2, R, C). ``noted`` (1,)
-    takes the digest of the field as text.
+    ``bounds_m`` are the lowest and the highest that each block may hold (2, R, C). ``digest`` is
+    the digest of the field, if it is known; ``keep_digest`` is called once it is.
     """
 
     def __init__(
@@ -173,25 +198,20 @@ class LazyHeights:
         blocks: Blocks,
         make: MakeBlock,
         bounds_m: Float32Array,
-        noted: NDArray[np.bytes_] | None = None,
+        digest: str = "",
+        keep_digest: Callable[[str], None] = lambda _: None,
     ) -> None:
         self._blocks = blocks
         self._make = make
         self._bounds_m = bounds_m
-        self._noted = np.zeros(1, "S64") if noted is None else noted
-
-    @property
-    def digest(self) -> str:
+        self.digest = digest
         """The digest of the field, empty until it is noted."""
-        return bytes(self._noted[0]).decode()
+        self._keep_digest = keep_digest
 
     def note_digest(self, digest: str) -> None:
-        """Note the digest of the field.
-
-        Later runs know it where the heights are in a file.
-        """
-        with suppress(ValueError):  # The file must not be written.
-            self._noted[0] = digest.encode()
+        """Note the digest of the field, for later runs too if the heights are in a file."""
+        self.digest = digest
+        self._keep_digest(digest)
 
     @property
     def shape(self) -> Shape:
@@ -254,15 +274,16 @@ class LazyHeights:
 
     def _ensure(self, wanted: list[tuple[int, int]]) -> None:
         """Make the blocks that are lacking."""
+        make = self._make  # Another thread may let it go once all blocks are made.
         missing = [at for at in wanted if self._blocks.lacks(*at)]
         if not missing:
             return
 
-        def make(at: tuple[int, int]) -> None:
-            self._blocks.put(*at, self._make(*block_slices(self.shape, *at)))
+        def put(at: tuple[int, int]) -> None:
+            self._blocks.put(*at, make(*block_slices(self.shape, *at)))
 
         with ThreadPoolExecutor(_THREADS) as pool:
-            list(pool.map(make, missing))
+            list(pool.map(put, missing))
 
     def _seen(self) -> Float32Array:
         seen = self._blocks.values.view(np.ndarray)

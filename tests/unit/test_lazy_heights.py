@@ -2,8 +2,15 @@
 
 import itertools
 import logging
+import math
+import os
 import pickle
+import shutil
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -134,16 +141,102 @@ def test_a_block_whose_writing_was_cut_short_is_made_anew(tmp_path):
     np.testing.assert_array_equal(read_field(path).heights_m, expected.heights_m)
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_no_flipped_byte_gives_a_wrong_model(tmp_path, seed):
+    """The first half of the flips hits the sections that come before the samples."""
+    path = tmp_path / "model.terrain"
+    expected = saved(path)
+    assert read_field(path).digest == expected.digest
+    content = path.read_bytes()
+    first_pages = len(content.splitlines(keepends=True)[0]) + 3 * 4096
+    rng = np.random.default_rng(seed)
+    for at in rng.integers(0, np.repeat([first_pages, len(content)], 20)):
+        damaged = bytearray(content)
+        damaged[at] ^= 1 << rng.integers(8)
+        path.write_bytes(damaged)
+        try:
+            found = read_field(path)
+            heights_m = found.heights_m
+        except InputError:
+            continue
+        np.testing.assert_array_equal(heights_m, expected.heights_m)
+        assert (found.bounds_m, found.digest) == (expected.bounds_m, expected.digest)
+        assert found.frame.wkt == expected.frame.wkt
+        assert found.provenance == expected.provenance
+
+
+@pytest.mark.parametrize("section", ["west", "digest", "bounds"])
+def test_damage_beside_the_samples_is_noticed(tmp_path, section):
+    path = tmp_path / "model.terrain"
+    expected = saved(path)
+    assert read_field(path).digest == expected.digest
+    content = bytearray(path.read_bytes())
+    line = content.index(b"\n") + 1
+    pages = -(-line // 4096)
+    at = {
+        "west": content.index(b'"west"') + 10,
+        "digest": 4096 * pages,
+        "bounds": 4096 * (pages + 1),
+    }[section]
+    content[at] ^= 1
+    path.write_bytes(content)
+    if section == "digest":
+        assert read_field(path).digest == expected.digest
+    else:
+        with pytest.raises(InputError, match="holds no elevation model"):
+            read_field(path)
+
+
+def test_threads_may_share_a_model():
+    source, _ = source_of(holed(210, 1500, 1))
+    expected = source.in_memory().whole()
+    for _ in range(3):
+        lazy = source.in_memory()
+        with ThreadPoolExecutor(4) as pool:
+            for found in [pool.submit(lazy.whole) for _ in range(4)]:
+                np.testing.assert_array_equal(found.result(), expected)
+
+
+FULL_DISK = """
+import os, sys
+from pathlib import Path
+from skyline.terrain.field_files import read_field
+from test_lazy_heights import saved
+path = Path("/mnt/model.terrain")
+expected = saved(path)
+disk = os.statvfs(path)
+Path("/mnt/filler").write_bytes(bytes(disk.f_bavail * disk.f_frsize))
+assert read_field(path).digest == expected.digest
+print("right")
+"""
+
+
+def test_a_disk_that_is_full_ends_no_reading():
+    in_namespace = ["unshare", "--user", "--map-root-user", "--mount", "sh", "-c"]
+    mount = "mount -t tmpfs -o size=4m disk /mnt"
+    if shutil.which("unshare") is None or run_quietly([*in_namespace, mount]).returncode:
+        pytest.skip("no disk can be mounted here")
+    tests = Path(__file__).parent
+    path = os.pathsep.join([str(tests), str(tests.parent), *sys.path])
+    command = f'{mount} && "{sys.executable}" -c "$FULL_DISK"'
+    given = os.environ | {"PYTHONPATH": path, "FULL_DISK": FULL_DISK}
+    assert run_quietly([*in_namespace, command], env=given).stdout == "right\n"
+
+
+def run_quietly(command, **options):
+    return subprocess.run(command, capture_output=True, text=True, check=False, **options)
+
+
 def test_blocks_stay_in_memory_where_the_file_takes_no_more(tmp_path):
     """A file that is open to read stands for a full disk."""
     source, _ = source_of(holed(210, 1500, 1))
     shape = source.in_memory().shape
     path = tmp_path / "samples"
-    path.write_bytes(bytes(4 * shape[0] * shape[1]))
+    end = 4 * shape[0] * shape[1]
+    path.write_bytes(bytes(end + 4 * math.prod(block_counts(shape))))
     with path.open("rb") as file:
-        samples = np.memmap(file, np.float32, "r", 0, shape)
-        sums = np.zeros(block_counts(shape), np.uint32)
-        lazy = LazyHeights(Blocks.in_file(file, 0, samples, sums), source.block, source.bounds_m)
+        blocks = Blocks.in_file(file, shape, 0, end)
+        lazy = LazyHeights(blocks, source.block, source.bounds_m)
         np.testing.assert_array_equal(lazy.whole(), source.in_memory().whole())
     assert not any(path.read_bytes())
 
