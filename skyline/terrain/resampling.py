@@ -96,17 +96,22 @@ class Warp:
     def block(self, heights_m: Float32Array, rows: slice, cols: slice) -> Float32Array:
         """Return a block of the target, made from the source's heights."""
         target = self.target
-        # The sample nearest to a summit may lie across the block's border, so one more is made.
+        # The sample nearest to a summit may lie across the block's border, so one more is made on
+        # each side, and summits are looked for as far as there, beyond the target's border, too.
+        row, col = self._positions(
+            *(np.arange(span.start - 1, span.stop + 1, dtype=np.float64) for span in (rows, cols))
+        )
+        source = _span(row, self._grid.rows), _span(col, self._grid.cols)
         wide = (
             slice(max(rows.start - 1, 0), min(rows.stop + 1, target.rows)),
             slice(max(cols.start - 1, 0), min(cols.stop + 1, target.cols)),
         )
-        row, col = self._positions(
-            *(np.arange(span.start, span.stop, dtype=np.float64) for span in wide)
+        inside = tuple(
+            slice(within.start - span.start + 1, within.stop - span.start + 1)
+            for within, span in zip(wide, (rows, cols), strict=True)
         )
-        part = cubic(heights_m, row, col)
+        part = cubic(heights_m, row[inside], col[inside])
         if not np.isnan(part).all():
-            source = _span(row, self._grid.rows), _span(col, self._grid.cols)
             some = heights_m[source], self._grid.part(*source)
             keep_summits(part, target.part(*wide), *some, self._to_frame)
         top = rows.start - wide[0].start
@@ -125,15 +130,24 @@ class Warp:
         bounds[0] = np.inf
         bounds[1] = -np.inf
         # Extremes of the source's rows and columns lie on a block's border, between nodes too
-        # little farther out to leave the margin.
+        # little farther out to leave the margin. A summit may lie a sample beyond the block: the
+        # first and the last of its nodes are of the samples beside it.
         row, col = self._positions(
             *(
-                np.concatenate([np.linspace(one.start, one.stop - 1, _NODES) for one in along])
-                for along in spans_of((target.rows, target.cols))
+                np.concatenate(
+                    [
+                        [-1],
+                        *(np.linspace(one.start, one.stop - 1, _NODES) for one in along),
+                        [count],
+                    ]
+                )
+                for along, count in zip(
+                    spans_of((target.rows, target.cols)), (target.rows, target.cols), strict=True
+                )
             )
         )
         for at in np.ndindex(bounds.shape[1:]):
-            nodes = tuple(slice(_NODES * one, _NODES * (one + 1)) for one in at)
+            nodes = tuple(slice(_NODES * one, _NODES * (one + 1) + 2) for one in at)
             over = tuple(
                 slice(span.start // _COARSE, -(-span.stop // _COARSE))
                 for span in (_span(row[nodes], self._grid.rows), _span(col[nodes], self._grid.cols))

@@ -71,6 +71,19 @@ def test_parts_are_those_of_one_block_over_the_whole_grid(seed):
     np.testing.assert_array_equal(lazy.whole(), whole)
 
 
+def test_a_summit_at_the_edge_of_a_polar_model_is_kept_whatever_the_blocks():
+    """At 89.4 degrees a metric sample is 50 samples of the source wide."""
+    rng = np.random.default_rng(0)
+    heights = rng.uniform(0.0, 10.0, (240, 1500)).astype(np.float32)
+    heights[rng.random(heights.shape) < 0.001] = 1000.0
+    grid = Grid(10.0, 89.5, STEP_DEG, STEP_DEG, *heights.shape)
+    frame = Frame.local(lon=grid.centre[0], lat=grid.centre[1])
+    source = Source(heights, Warp(grid, CRS.from_epsg(4326), frame, 45.0))
+    target = source.warp.target
+    whole = source.block(slice(0, target.rows), slice(0, target.cols))
+    np.testing.assert_array_equal(source.in_memory().whole(), whole)
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_heights_at_positions_are_those_of_the_whole_grid(seed):
     source, frame = source_of(holed(210, 1500, seed))
