@@ -2,7 +2,8 @@
 
 A later run maps a model into memory as it was read, and does not open its files. A model is kept in
 the cache under a digest of all that its heights depend on: the names, sizes and times of its files
-and of files beside them, the options, and the code that reads them.
+and of files beside them, the options, the code that reads them, and the settings and the grids of
+datum shifts of its libraries.
 """
 
 import hashlib
@@ -14,6 +15,8 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from importlib.metadata import version
 from pathlib import Path
+
+from pyproj.datadir import get_data_dir, get_user_data_dir  # type: ignore[attr-defined]
 
 from skyline.errors import SkylineError
 from skyline.files import archive_of, cache_folder, is_file, version_of
@@ -36,6 +39,12 @@ _CODE = (Path(__file__).parent, Path(__file__).parents[1] / "geodesy")
 
 _LIBRARIES = ("numpy", "pyproj", "rasterio", "scipy")
 """The libraries on which heights depend; GDAL and PROJ come with two of them."""
+
+_LEVEL_LOCK = threading.Lock()
+"""Held while the level of the terrain's logger may be another than its user's."""
+
+_SETTINGS = ("CPL_", "GDAL_", "GTIFF_", "OSR_", "PROJ_")
+"""Beginnings of the names of environment variables that GDAL and PROJ obey."""
 
 _log = logging.getLogger(__name__)
 
@@ -64,7 +73,8 @@ def _kept() -> list[tuple[os.stat_result, Path]]:
     known = []
     for path in models_folder().glob("*"):
         with suppress(FileNotFoundError):
-            known.append((path.stat(), path))
+            if not path.is_dir():  # Someone else's
+                known.append((path.stat(), path))
     return sorted(known, key=lambda one: one[0].st_mtime)
 
 
@@ -75,20 +85,40 @@ def place_of(names: Sequence[str], options: DemOptions) -> Path | None:
     """
     beside: dict[Path, dict[str, list[Path]]] = {}
     files: list[Path] = []
-    for name in names:
-        path = Path(name)
-        is_known = name.lower().removesuffix(".gz").endswith(_OF_ITS_OWN)
-        if not is_known or archive_of(name) or not is_file(name):
-            return None
-        if path.parent not in beside:
-            beside[path.parent] = _by_stem(path.parent)
-        files += beside[path.parent][_stem(path)]
-    versions = [(str(file), version_of(file)) for file in dict.fromkeys(files)]
-    code = [(str(one), version_of(one)) for folder in _CODE for one in sorted(folder.glob("*.py"))]
-    libraries = [(one, version(one)) for one in _LIBRARIES]
-    parts = repr((list(names), versions, options, code, libraries))
-    digest = hashlib.sha256(parts.encode("utf-8", "surrogateescape")).hexdigest()[:24]
+    try:
+        for name in names:
+            path = Path(name)
+            if not _stands_alone(name):
+                return None
+            if path.parent not in beside:
+                beside[path.parent] = _by_stem(path.parent)
+            files += [path, *beside[path.parent].get(_stem(path), [])]
+    except OSError:  # A folder that cannot be listed, or a file that cannot be read
+        return None
+    read = [(str(file), os.path.realpath(file), version_of(file)) for file in dict.fromkeys(files)]
+    code = [one for folder in _CODE for one in sorted(folder.glob("*.py"))]
+    folders = [*get_data_dir().split(os.pathsep), get_user_data_dir()]
+    shifts = [one for folder in folders for one in sorted(Path(folder).glob("*.tif"))]
+    parts = (
+        list(names),
+        read,
+        options,
+        [(str(file), version_of(file)) for file in [*code, *shifts]],
+        [(one, version(one)) for one in _LIBRARIES],
+        sorted(one for one in os.environ.items() if one[0].startswith(_SETTINGS)),
+    )
+    digest = hashlib.sha256(repr(parts).encode("utf-8", "surrogateescape")).hexdigest()[:24]
     return models_folder() / f"{digest}{SUFFIX}"
+
+
+def _stands_alone(name: str) -> bool:
+    """Return whether a raster's heights depend on files of its own name alone."""
+    is_known = name.lower().removesuffix(".gz").endswith(_OF_ITS_OWN)
+    if not is_known or archive_of(name) or not is_file(name):
+        return False
+    with Path(name).open("rb") as file:
+        # GDAL goes by the content: a virtual raster (XML or JSON) may have any ending.
+        return file.read(256).lstrip(b"\xef\xbb\xbf \t\r\n")[:1] not in (b"<", b"{")
 
 
 def _by_stem(folder: Path) -> dict[str, list[Path]]:
@@ -101,7 +131,8 @@ def _by_stem(folder: Path) -> dict[str, list[Path]]:
 
 
 def _stem(path: Path) -> str:
-    return path.name.split(".")[0]
+    """Return the beginning of a name in lower case; GDAL finds ``DEM.PRJ`` for ``dem.tif``."""
+    return path.name.split(".")[0].lower()
 
 
 def kept_model(place: Path) -> HeightField | None:
@@ -144,39 +175,44 @@ def _has_room(folder: Path, dem: MetricDem) -> bool:
     known = _kept()
     taken = sum(512 * about.st_blocks for about, _ in known)
     left = _MOST_OF_FREE * (shutil.disk_usage(folder).free + taken) - 4 * samples
+    if left < 0.0:
+        return False
     for about, path in known:
         if taken <= left:
             break
         path.unlink(missing_ok=True)
         taken -= 512 * about.st_blocks
-    return left >= 0.0
+    return True
 
 
 @contextmanager
 def noted_warnings() -> Iterator[list[LoggedWarning]]:
     """Collect the warnings that this thread logs about terrain in the block.
 
-    They are collected even if they are not shown, since a later run may show them.
+    They are collected even if they are not shown, since a later run may show them. Other threads
+    wait for the end of the block: the level of a logger is the whole process's.
     """
     noted: list[LoggedWarning] = []
     thread = threading.get_ident()
+    package = logging.getLogger("skyline.terrain")
+    # Filters and not a handler: a process without handlers shows warnings, too.
+    loggers = [logging.getLogger(f"{package.name}.{one.stem}") for one in _CODE[0].glob("*.py")]
+    with _LEVEL_LOCK:
+        is_shown = package.isEnabledFor(logging.WARNING)
+        level = package.level
 
-    class _Notes(logging.Handler):
-        def emit(self, record: logging.LogRecord) -> None:
-            if record.thread == thread:
+        def note(record: logging.LogRecord) -> bool:
+            if record.thread == thread and record.levelno >= logging.WARNING:
                 noted.append((record.name, record.getMessage()))
+            return is_shown
 
-    notes = _Notes(logging.WARNING)
-    logger = logging.getLogger("skyline.terrain")
-    level = logger.level
-    propagates = logger.propagate
-    if not logger.isEnabledFor(logging.WARNING):
-        logger.setLevel(logging.WARNING)
-        logger.propagate = False
-    logger.addHandler(notes)
-    try:
-        yield noted
-    finally:
-        logger.removeHandler(notes)
-        logger.setLevel(level)
-        logger.propagate = propagates
+        if not is_shown:
+            package.setLevel(logging.WARNING)
+        for logger in loggers:
+            logger.addFilter(note)
+        try:
+            yield noted
+        finally:
+            for logger in loggers:
+                logger.removeFilter(note)
+            package.setLevel(level)

@@ -8,9 +8,12 @@ import pickle
 import shutil
 import subprocess
 import sys
+import threading
+import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -25,7 +28,7 @@ from skyline.geodesy.map_frame import Frame
 from skyline.terrain.field_files import read_field, save_dem
 from skyline.terrain.grid import Grid
 from skyline.terrain.heightfield import field_of
-from skyline.terrain.kept_models import models_folder
+from skyline.terrain.kept_models import models_folder, noted_warnings, remove_models
 from skyline.terrain.lazy_heights import Blocks, LazyHeights, block_counts
 from skyline.terrain.metric_dem import MetricDem, Source
 from skyline.terrain.provenance import Provenance
@@ -298,12 +301,91 @@ def test_warnings_of_a_quiet_reading_are_shown_by_the_next(large_dem, caplog):
     assert "samples of exactly 0 m" in caplog.text
 
 
+def test_a_process_without_logging_shows_the_warnings_of_each_reading(
+    large_dem, capsys, monkeypatch
+):
+    monkeypatch.setattr(logging.getLogger("skyline"), "propagate", False)
+    for _ in range(2):
+        read_dem(large_dem)
+        assert capsys.readouterr().err.count("samples of exactly 0 m") == 1
+
+
+def test_readings_in_threads_leave_the_logger_as_it_was(caplog):
+    caplog.set_level(logging.ERROR)
+    logger = logging.getLogger("skyline.terrain")
+    inside = threading.Event()
+
+    def note(first):
+        if not first:
+            inside.wait(10.0)
+        with noted_warnings():
+            inside.set()
+            # The first leaves while the other one is inside, or waits.
+            time.sleep(0.1 if first else 0.3)
+
+    with ThreadPoolExecutor(2) as pool:
+        list(pool.map(note, [True, False]))
+    assert (logger.level, logger.propagate) == (logging.NOTSET, True)
+
+
 def test_a_dem_that_has_changed_is_read_anew(large_dem):
     before = read_dem(large_dem).digest
     with rasterio.open(large_dem, "r+") as dataset:
         dataset.write(dataset.read() + 1)
     assert read_dem(large_dem).digest != before
     assert len(kept_models()) == 2
+
+
+def test_a_mask_in_capital_letters_is_noticed(large_dem):
+    """GDAL reads dem.tif.msk, whatever its case, and so without the first 500 rows."""
+    before = read_dem(large_dem)
+    with rasterio.open(large_dem) as dataset:
+        profile = dataset.profile | {"driver": "GTiff", "dtype": "uint8", "nodata": None}
+    mask = np.full((1, 1100, 1100), 255, dtype=np.uint8)
+    mask[:, :500] = 0
+    with rasterio.open(large_dem.parent / "mask", "w", **profile) as dataset:
+        dataset.update_tags(INTERNAL_MASK_FLAGS_1="2")
+        dataset.write(mask)
+    (large_dem.parent / "mask").rename(large_dem.parent / "DEM.TIF.MSK")
+    assert read_dem(large_dem).provenance.hollow > before.provenance.hollow + 400_000
+
+
+def test_a_virtual_raster_of_any_ending_is_not_kept(large_dem, tmp_path):
+    step = 1.0 / 3600.0
+    virtual = tmp_path / "virtual.tif"
+    virtual.write_text(
+        '<VRTDataset rasterXSize="1100" rasterYSize="1100"><SRS>EPSG:4326</SRS>'
+        f"<GeoTransform>9, {step}, 0, 47, 0, {-step}</GeoTransform>"
+        '<VRTRasterBand dataType="Int16" band="1"><SimpleSource><SourceFilename relativeToVRT="1">'
+        "dem.tif</SourceFilename></SimpleSource></VRTRasterBand></VRTDataset>"
+    )
+    read_dem(virtual)
+    assert kept_models() == []
+
+
+def test_a_setting_of_gdal_is_noticed(large_dem, monkeypatch):
+    with rasterio.open(large_dem, "r+") as dataset:
+        dataset.update_tags(AREA_OR_POINT="Point")
+    before = read_dem(large_dem)
+    monkeypatch.setenv("GTIFF_POINT_GEO_IGNORE", "TRUE")
+    assert read_dem(large_dem).box_deg[0] > before.box_deg[0]
+
+
+def test_a_model_for_which_the_disk_has_no_room_removes_no_other(large_dem, monkeypatch):
+    read_dem(large_dem)
+    kept = kept_models()
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=0))
+    with rasterio.open(large_dem, "r+") as dataset:
+        dataset.write(dataset.read() + 1)
+    read_dem(large_dem)
+    assert kept_models() == kept
+
+
+def test_a_folder_among_the_models_stays(large_dem):
+    read_dem(large_dem)
+    (models_folder() / "other").mkdir()
+    remove_models()
+    assert [path.name for path in models_folder().iterdir()] == ["other"]
 
 
 def test_a_kept_model_that_is_damaged_is_read_anew(large_dem):
