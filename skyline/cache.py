@@ -18,6 +18,7 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext, supp
 from dataclasses import dataclass
 from datetime import datetime
 from functools import partial
+from glob import glob
 from pathlib import Path
 from typing import Any, TextIO
 from urllib.parse import urlsplit
@@ -106,8 +107,15 @@ class CachedArea:
         return self.store.is_file() and self.terrain.is_file()
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the area for JSON, with the sizes of its files."""
-        about = [(path, path.stat()) for path in self.folder.rglob("*") if path.is_file()]
+        """Return the area for JSON, with the sizes of its files.
+
+        Raises `FileNotFoundError` where another process has removed it.
+        """
+        about = []
+        for folder, _, names in os.walk(self.folder):
+            for path in (Path(folder, name) for name in names):
+                with suppress(FileNotFoundError):  # Another process may remove files at any time.
+                    about.append((path, path.stat()))
         tiles = [known.st_size for path, known in about if path.parent.name == "tiles"]
         latest = max((known.st_mtime for _, known in about), default=self.folder.stat().st_mtime)
         return {
@@ -171,7 +179,9 @@ def prepare_area(
 def cached_areas() -> list[CachedArea]:
     """Return the areas in the cache, by origin and bounds."""
     with _explained():
-        return _areas_in(areas_folder().glob("*/*"))
+        # Unlike a path's own, this glob passes over folders that another process removes.
+        names = glob("*/*", root_dir=areas_folder())  # noqa: PTH207
+        return _areas_in(areas_folder() / name for name in names)
 
 
 def cached_files() -> set[Path]:

@@ -1,6 +1,7 @@
 """``skyline cache``: what is kept for later runs."""
 
 import json
+from contextlib import suppress
 from datetime import datetime
 from typing import Annotated, Any
 
@@ -21,11 +22,11 @@ def cache(
 ) -> None:
     """List what is kept: areas, and elevation models that were read."""
     terminal = Terminal.of(context, as_json)
-    areas = [one.to_dict() for one in cached_areas()]
+    areas = _areas()
     total = _bytes_of(areas) + kept_bytes()
     if clear:
         count = clear_cache(terminal.note)
-        left = _bytes_of([one.to_dict() for one in cached_areas()]) + kept_bytes()
+        left = _bytes_of(_areas()) + kept_bytes()
         terminal.line(f"{cache_folder()}: areas removed: {count}, {(total - left) / 1e6:.1f} MB")
         return
     if as_json:
@@ -42,6 +43,15 @@ def cache(
     if models := kept_bytes():
         terminal.line(f"elevation models as they were read: {models / 1e6:.1f} MB")
     terminal.line(f"{cache_folder()}: areas: {len(areas)}, {total / 1e6:.1f} MB")
+
+
+def _areas() -> list[dict[str, Any]]:
+    """Return the areas, without those that another process removes meanwhile."""
+    areas = []
+    for one in cached_areas():
+        with suppress(FileNotFoundError):
+            areas.append(one.to_dict())
+    return areas
 
 
 def _bytes_of(areas: list[dict[str, Any]]) -> int:

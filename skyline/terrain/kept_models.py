@@ -137,7 +137,7 @@ def _stem(path: Path) -> str:
 
 def kept_model(place: Path) -> HeightField | None:
     """Return the model that is kept at a place, or None."""
-    if not place.is_file():
+    if not is_file(place):
         return None
     try:
         return read_field(place)
