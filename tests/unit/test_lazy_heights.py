@@ -395,6 +395,21 @@ def test_a_kept_model_that_is_damaged_is_read_anew(large_dem):
     assert read_dem(large_dem).digest == digest
 
 
+def test_a_damaged_model_in_metres_is_removed(tmp_path, monkeypatch):
+    """Such a model has no source in its file, from which a block could be made anew."""
+    monkeypatch.setenv("SKYLINE_CACHE", str(tmp_path / "cache"))
+    heights = fractal(1100, 1100, 900.0, seed=3).astype(np.float32)
+    dem = write_dem(tmp_path / "metres.tif", heights)
+    digest = read_dem(dem).digest
+    (kept,) = kept_models()
+    content = bytearray(kept.read_bytes())
+    content[-2_000_000] ^= 1
+    kept.write_bytes(content)
+    with pytest.raises(InputError, match="was damaged, and is removed; run the command again"):
+        _ = read_dem(dem).heights_m
+    assert read_dem(dem).digest == digest
+
+
 def test_a_dem_is_read_where_the_cache_cannot_be_written(large_dem, tmp_path, monkeypatch):
     digest = read_dem(large_dem).digest
     (tmp_path / "file").touch()
