@@ -43,9 +43,6 @@ _LIBRARIES = ("numpy", "pyproj", "rasterio", "scipy")
 _LEVEL_LOCK = threading.Lock()
 """Held while the level of the terrain's logger may be another than its user's."""
 
-_SETTINGS = ("CPL_", "GDAL_", "GTIFF_", "OSR_", "PROJ_")
-"""Beginnings of the names of environment variables that GDAL and PROJ obey."""
-
 _log = logging.getLogger(__name__)
 
 
@@ -105,10 +102,20 @@ def place_of(names: Sequence[str], options: DemOptions) -> Path | None:
         options,
         [(str(file), version_of(file)) for file in [*code, *shifts]],
         [(one, version(one)) for one in _LIBRARIES],
-        sorted(one for one in os.environ.items() if one[0].startswith(_SETTINGS)),
+        _settings(),
     )
     digest = hashlib.sha256(repr(parts).encode("utf-8", "surrogateescape")).hexdigest()[:24]
     return models_folder() / f"{digest}{SUFFIX}"
+
+
+def _settings() -> list[tuple[str, str]]:
+    """Return the environment's settings of GDAL and PROJ.
+
+    The places of certificates are left out, which rasterio sets as it is loaded.
+    """
+    beginnings = ("CPL_", "GDAL_", "GTIFF_", "OSR_", "PROJ_")
+    named = ((name, value) for name, value in os.environ.items() if name.startswith(beginnings))
+    return sorted((name, value) for name, value in named if "_CURL_" not in name)
 
 
 def _stands_alone(name: str) -> bool:

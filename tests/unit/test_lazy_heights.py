@@ -292,6 +292,14 @@ def test_a_second_reading_gives_the_same_heights_and_warnings(large_dem, caplog)
     assert kept_models() == [kept]
 
 
+def test_a_process_keeps_a_model_once(large_dem):
+    """The first reading loads libraries, which write to the environment."""
+    twice = "import sys, skyline; [skyline.read_dem(sys.argv[1]) for _ in range(2)]"
+    given = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    assert run_quietly([sys.executable, "-c", twice, str(large_dem)], env=given).returncode == 0
+    assert len(kept_models()) == 1
+
+
 def test_warnings_of_a_quiet_reading_are_shown_by_the_next(large_dem, caplog):
     caplog.set_level(logging.ERROR)
     read_dem(large_dem)
