@@ -29,7 +29,8 @@ _COARSE = 32
 """Samples along a side of the squares whose extremes bound the heights of a block."""
 _NODES = 9
 """Positions along a side of a block from which its bounds are found. Between two of them, at most
-128 samples apart, a parallel or a meridian bends by less than a sample."""
+128 samples apart, a parallel bends by 128^2 s tan(latitude) / 8 R samples of s metres on a sphere
+of radius R: by less than the margin of two up to 89 degrees at 100 m, and up to 80 at 1 km."""
 _Positions = Callable[[Float64Array, Float64Array], tuple[Float64Array, Float64Array]]
 """Takes rows (n,) and columns (m,) of the target; returns rows and columns (n, m) in the source."""
 
@@ -130,8 +131,8 @@ class Warp:
         bounds[0] = np.inf
         bounds[1] = -np.inf
         # Extremes of the source's rows and columns lie on a block's border, between nodes too
-        # little farther out to leave the margin. A summit may lie a sample beyond the block: the
-        # first and the last of its nodes are of the samples beside it.
+        # little farther out to leave the margin. A summit may lie a sample beyond the block: its
+        # first and its last node are the samples beside it.
         row, col = self._positions(
             *(
                 np.concatenate(
