@@ -15,6 +15,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
@@ -73,6 +74,9 @@ class RetrievalEffort:
     """Mean number of rough fits for any other place."""
     good_share: float = 1 / 3
     """Share of the rough fits from which poses are fitted well: the best ones."""
+    good_least: int = 1024
+    """As many as in a whole first short list. In a search of fewer places every pose is fitted
+    well, or the short list would lack places that nothing speaks against."""
     good_most: int = 8192
     separation_m: float = 30.0
     """A pose nearer to a better one that looks the same way is left out of the short list."""
@@ -134,13 +138,13 @@ class Retriever:
         Raises `InputError` where the search is narrowed to no place.
         """
         best: list[Poses] = []
-        counts = (min(_EFFORT.first, self._rough), self._rough)
+        counts = (_EFFORT.first, self._rough)
         for alike in self._screened([self._screens(rays, prior)], [prior], counts, report):
             places = self.places.take(alike.row)
             share = _EFFORT.starts_later if best else _EFFORT.starts_first
             starts = math.ceil(share * len(places))
             start = self._start(rays, prior, places, alike.score, starts)
-            fitted = self._fitted([rays], [start], report)[0]
+            fitted = self._fitted([rays], [start], _good_count(len(start)), report)[0]
             best.append(fitted[prior.allows(fitted)])
             poses = Poses.concatenate(best)
             distinct = poses.suppress_non_maxima(count, _EFFORT.separation_m, _EFFORT.same_turn_deg)
@@ -161,25 +165,21 @@ class Retriever:
         search is narrowed to no place.
         """
         coarse, fine = (_sum_of(level) for level in zip(*screens, strict=True))
-        waiting = screen_places(
+        coarsely = screen_places(
             coarse,
             self.places,
             _EFFORT.screened_again * counts[-1],
             lambda some: np.all([prior.contains(some) for prior in priors], axis=0),
             report,
         )
-        if not len(waiting):
+        if not len(coarsely):
             raise self._no_place_error(priors)
-        known = waiting[:0]
-        given = 0
-        for count in counts:
-            again = _EFFORT.screened_again * count - given - len(known)
-            known = Alike.joined([known, rescored(fine, self.places, waiting[:again])])
-            known = known.best(len(known))
-            waiting = waiting[again:]
-            part = known[: count - given]
-            known = known[count - given :]
-            given += len(part)
+        finely = coarsely[:0]
+        for before, count in pairwise((0, *counts)):
+            more = coarsely[_EFFORT.screened_again * before : _EFFORT.screened_again * count]
+            finely = Alike.joined([finely, rescored(fine, self.places, more)]).best()
+            part = finely[: count - before]
+            finely = finely[count - before :]
             if len(part):
                 yield part
 
@@ -201,7 +201,7 @@ class Retriever:
             heading_rad=heading_rad.ravel(),
             log_scale=log_scale.ravel(),
         )
-        return self._fitted([rays], [start], silent)[0]
+        return self._fitted([rays], [start], _EFFORT.good_most, silent)[0]
 
     def shortlist_together(
         self,
@@ -225,7 +225,8 @@ class Retriever:
             self._start(rays, prior, places, fine.scores(places.phase), len(places), turns=1)
             for (rays, prior), (_, fine) in zip(photos, screens, strict=True)
         ]
-        found = self._fitted([rays for rays, _ in photos], starts, report)
+        every = [rays for rays, _ in photos]
+        found = self._fitted(every, starts, _good_count(len(places)), report)
         shared = {
             "easting_m": np.mean([one.easting_m for one in found], axis=0),
             "northing_m": np.mean([one.northing_m for one in found], axis=0),
@@ -290,17 +291,25 @@ class Retriever:
         )
 
     def _fitted(
-        self, photos: Sequence[Rays], starts: Sequence["_Start"], report: ReportProgress
+        self,
+        photos: Sequence[Rays],
+        starts: Sequence["_Start"],
+        count: int,
+        report: ReportProgress,
     ) -> list[Poses]:
-        """Return the photos' poses fitted at their best common places."""
-        rough = [
-            self._fits(rays, start, ROUGH_FIT, report)
-            for rays, start in zip(photos, starts, strict=True)
-        ]
-        good = min(math.ceil(_EFFORT.good_share * len(rough[0])), _EFFORT.good_most)
-        best = np.sort(np.argsort(_total(rough), kind="stable")[:good])
+        """Return the photos' poses fitted well from the ``count`` best common starts.
+
+        Rough fits find these; where there are no more starts than that, there are no rough fits.
+        """
+        if count < len(starts[0]):
+            rough = [
+                self._fits(rays, start, ROUGH_FIT, report)
+                for rays, start in zip(photos, starts, strict=True)
+            ]
+            best = np.sort(np.argsort(_total(rough), kind="stable")[:count])
+            starts = [start[best] for start in starts]
         return [
-            self._fits(rays, start[best], GOOD_FIT, report)
+            self._fits(rays, start, GOOD_FIT, report)
             for rays, start in zip(photos, starts, strict=True)
         ]
 
@@ -346,6 +355,12 @@ class _Start(Rows):
     score: Float32Array
     heading_rad: Float64Array
     log_scale: Float64Array
+
+
+def _good_count(rough: int) -> int:
+    """Return how many poses are fitted well after so many rough fits."""
+    share = math.ceil(_EFFORT.good_share * rough)
+    return min(max(share, _EFFORT.good_least), _EFFORT.good_most)
 
 
 def _total(found: Sequence[Poses]) -> Float64Array:

@@ -89,8 +89,8 @@ class Alike(Rows):
     row: IntArray
     score: Float32Array
 
-    def best(self, count: int) -> "Alike":
-        """Return the best ``count`` places; equal ones in the source's order."""
+    def best(self, count: int | None = None) -> "Alike":
+        """Return the best ``count`` places, by default all; equal ones in the source's order."""
         return self[np.lexsort((self.row, -self.score))[:count]]
 
     @classmethod
@@ -216,7 +216,8 @@ class Screen:
         for change in rolled:
             np.square(change, out=change)
             level += change
-        return np.reshape(level, (len(level), len(phase), self._fovs, -1))
+        turns = _TURNS_AT_ONCE // self._turn_step
+        return np.reshape(level, (len(level), len(phase), self._fovs, turns))
 
 
 def _rolled(level: Complex128Array) -> Complex128Array:
@@ -320,7 +321,7 @@ def rescored(scores: Scores, source: PlaceSource, alike: Alike) -> Alike:
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         found = pool.map(lambda k: scores(source.phases(rows[k : k + _PLACES_AT_ONCE])), parts)
         none = np.zeros(0, dtype=np.float32)
-        return Alike(rows, np.concatenate([none, *found])).best(len(rows))
+        return Alike(rows, np.concatenate([none, *found])).best()
 
 
 def _batches(source: PlaceSource) -> Iterator[list[tuple[int, Places]]]:

@@ -20,10 +20,7 @@ from skyline.match.refine import QUICK, WHOLE, Refinement
 from skyline.match.retrieval import Retriever
 from skyline.match.screen import ReportProgress, silent
 from skyline.match.together import JointRefinement
-from skyline.pose import (
-    Pose,
-    Poses,
-)
+from skyline.pose import Pose, Poses
 from skyline.render.horizon import RenderedScene
 from skyline.store.layout import PLACES
 from skyline.store.mapped_places import PlaceSource
