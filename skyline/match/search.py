@@ -115,10 +115,9 @@ class FullMatcher(SearchMethod):
     ) -> tuple[Poses, Poses | None]:
         """Return the poses retrieved for a photo, and the refined ones.
 
-        The refined ones are None without a scene. The most promising places come first, with a
-        quick refinement. That is enough where one place fits far better than any other, as with
-        most skylines. Otherwise all places that are worth a fit are tried, with more effort. Raises
-        as `search`.
+        The refined ones are None without a scene. The first short list is refined quickly. That is
+        enough where one place fits far better than any other, as with most skylines. Otherwise the
+        last short list is refined with more effort. Raises as `search`.
         """
         scene = self._scene
         lists = self.retriever.shortlists(rays, self._shortlist, prior, report)
@@ -244,7 +243,8 @@ class FullMatcher(SearchMethod):
 def _with_noted(found: Poses, near: Poses | None) -> Poses:
     """Return retrieved poses with those around the photo's noted place.
 
-    The best of these gets the cost of the best pose of all; refinement then compares them.
+    The costs of the latter are shifted: their best pose is as good as the best of all, and
+    refinement compares them.
     """
     if near is None or not len(near) or not len(found):
         return found
