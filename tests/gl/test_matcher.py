@@ -11,6 +11,7 @@ from skyline.camera import Projection
 from skyline.errors import InputError
 from skyline.geodesy.bounds import in_turn
 from skyline.match.solver import TEMPERATURE
+from skyline.photo.noted_place import NotedPlace
 from skyline.photo.skyline import Lens, PhotoSkyline
 from skyline_bench.queries.synthetic import QueryConfig, make_queries, make_queries_together
 
@@ -72,6 +73,22 @@ def test_nothing_fits_a_skyline_of_almost_no_width(store, terrain, queries):
     with Matcher(store, terrain) as matcher:
         result = matcher.match(strip)
     assert (result.candidates, result.refusal) == ((), "no place fits")
+
+
+def test_a_direction_in_which_nothing_was_seen_has_no_place(store, terrain, queries):
+    away_deg = (queries[0].truth.heading_deg + 180.0) % 360.0
+    away = Narrowing(heading_deg=(away_deg, 1e-6))
+    with Matcher(store, terrain) as matcher:
+        result = matcher.match(queries[0].skyline, narrowing=away)
+    assert (result.candidates, result.refusal) == ((), "no place fits")
+
+
+def test_a_photo_that_notes_a_place_far_from_the_store_is_searched(store, terrain, queries):
+    lon, lat = terrain.frame.to_lonlat(WEST_M + 60_000.0, NORTH_M)
+    noted = NotedPlace(lonlat_deg=(float(lon), float(lat)))
+    with Matcher(store, terrain, config=BOLD) as matcher:
+        best = matcher.match(replace(queries[0].skyline, noted=noted)).answer
+    assert error_m(best, queries[0].truth) < 10.0
 
 
 def test_an_unknown_field_of_view_is_searched(store, terrain, queries):
