@@ -271,7 +271,7 @@ class Retriever:
         count: int,
         turns: int = _EFFORT.turns,
     ) -> "_Start":
-        """Return the ``count`` best starts of fits.
+        """Return up to ``count`` starts of fits, the best ones.
 
         Each place offers its best ``turns``. Places are handled in small groups, because each is
         compared at every turn.
@@ -287,6 +287,8 @@ class Retriever:
                 np.concatenate(part).ravel() for part in zip(*found, strict=True)
             )
         best = np.sort(np.argsort(-peak, kind="stable")[:count])
+        # In a narrow range of headings a place may have fewer turns than are asked for.
+        best = best[peak[best] > -np.inf]
         row = best // turns
         return _Start(
             places=places[row],

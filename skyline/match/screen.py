@@ -184,8 +184,8 @@ class Screen:
         """Return the headings, fields of view and scores of the best turns.
 
         Each is (N, C); fields of view are returned as their indices. The best comes first, and
-        others are at least `_APART_TURNS` from better ones; where no open turn is left, it is the
-        best again. Headings are grid azimuths of the optical axis, degrees.
+        others are at least `_APART_TURNS` from better ones. Where no open turn is left, the best
+        one is returned again, with the score -inf. Headings are grid azimuths of the optical axis, degrees.
         """
         sums = self._every_turn(phase)
         score = (sums - self.mean[:, np.newaxis]) * self.scale[:, np.newaxis]
