@@ -185,7 +185,8 @@ class Screen:
 
         Each is (N, C); fields of view are returned as their indices. The best comes first, and
         others are at least `_APART_TURNS` from better ones. Where no open turn is left, the best
-        one is returned again, with the score -inf. Headings are grid azimuths of the optical axis, degrees.
+        one is returned again, with the score -inf. Headings are grid azimuths of the optical axis,
+        degrees.
         """
         sums = self._every_turn(phase)
         score = (sums - self.mean[:, np.newaxis]) * self.scale[:, np.newaxis]
