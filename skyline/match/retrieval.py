@@ -168,22 +168,22 @@ class Retriever:
         are fewer if fewer lie within the narrowings. Raises `InputError` where none does.
         """
         coarse, fine = (_sum_of(level) for level in zip(*screens, strict=True))
-        coarsely = screen_places(
+        ranked = screen_places(
             coarse,
             self.places,
             _EFFORT.screened_again * counts[-1],
             lambda some: np.all([prior.contains(some) for prior in priors], axis=0),
             report,
         )
-        if not len(coarsely):
+        if not len(ranked):
             raise self._no_place_error(priors)
-        finely = coarsely[:0]
+        waiting = ranked[:0]
         for before, count in pairwise((0, *counts)):
-            more = coarsely[_EFFORT.screened_again * before : _EFFORT.screened_again * count]
+            more = ranked[_EFFORT.screened_again * before : _EFFORT.screened_again * count]
             # Places that did not get into the list before this one compete again.
-            finely = Alike.joined([finely, rescored(fine, self.places, more)]).best()
-            part = finely[: count - before]
-            finely = finely[count - before :]
+            waiting = Alike.joined([waiting, rescored(fine, self.places, more)]).best()
+            part = waiting[: count - before]
+            waiting = waiting[count - before :]
             if len(part):
                 yield part
 
