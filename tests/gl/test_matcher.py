@@ -233,7 +233,6 @@ def test_photos_of_one_place_are_not_matched_without_rendering(
 @pytest.mark.parametrize(("margin", "lists"), [(-math.inf, 1), (math.inf, 2)])
 def test_a_sure_answer_of_the_first_short_list_ends_the_search(terrain, monkeypatch, margin, lists):
     """The first list is of 2048 of the 2100 places; each is refined once it is fitted."""
-
     monkeypatch.setattr(search, "WHOLE", search.QUICK)
     monkeypatch.setattr(search.FullMatcher, "sure_margin", margin)
     steps = []
