@@ -250,7 +250,8 @@ def likelihood(
     odds = known * ratio / (1.0 + ratio)
     weight = trust * odds / variance
     explained, inner, half_log_det = _explained(residual, weight, factor)
-    # The entropy of these odds, and the log densities that they weigh, add up to one logarithm.
+    # The entropy of these odds, and the log densities that they weigh, add up to one logarithm. It
+    # needs a ratio below its upper bound: with the solver's least deviation it is at most e^10.
     each = -other - known * np.log1p(ratio)
     each += odds * (terrain_off - terrain)
     fit = 0.5 * (weight * residual * (residual - explained)).sum(axis=1)

@@ -1,12 +1,12 @@
 """Retrieval: from rays to a short list of poses in a store.
 
-Coarse to fine: screening compares the headings of every place by phases, roughly, and of the best
-ones again, well (`skyline.match.screen`). Then whole poses are fitted to the skylines of the best
-places, first roughly to many of them, then well to fewer (`skyline.match.fit`). A short list holds
-the best poses that differ from one another.
+It is coarse to fine. A coarse screen compares the photo with every place by phases, and a fine one
+with the best of these places (`skyline.match.screen`). Then whole poses are fitted to the skylines
+of the best places, first roughly to many of them, then well to fewer (`skyline.match.fit`). A short
+list holds the best poses that differ from one another.
 
-Best first: the first short list is of the most promising places, among which most photos have
-theirs. The last one is of all places that are worth a fit.
+The most promising places come first. They make the first short list, which is enough for most
+photos. The last short list is of all places that are worth a fit.
 """
 
 import math
@@ -15,6 +15,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
@@ -45,11 +46,11 @@ class RetrievalEffort:
     sample: int = 2048
     """Places from which the mean and the deviation of a photo's scores are estimated."""
     coarse_step: float = 0.36
-    """Step of `Rays.log_scale` between the fields of view that are screened coarsely."""
+    """Step of `Rays.log_scale` between the fields of view of the coarse screen."""
     screened_step: float = 0.18
-    """Step of `Rays.log_scale` between the fields of view that are screened."""
+    """Step of `Rays.log_scale` between the fields of view of the fine screen."""
     screened_again: int = 2
-    """Multiple of the wanted number of places that is screened again after the coarse screen."""
+    """Places that the fine screen compares again, for each one that is wanted."""
     first: int = 2048
     """Places of the first short list."""
     start_step: float = 0.09
@@ -60,10 +61,11 @@ class RetrievalEffort:
     unlikely_penalty: float = 0.25
     """Penalty of a field of view in screening, over the square of its standard deviations."""
     rough_share: float = 0.05
-    """Share of the places to which poses are fitted roughly."""
+    """Share of all places that the last short list is of."""
     rough_least: int = 16_384
+    """Least number of these places."""
     rough_most: int = 262_144
-    """Fits are held in memory."""
+    """Greatest number of these places: fits are held in memory."""
     turns: int = 3
     """Best turns of a place that screening passes on. Screening finds the right place more often
     than the right turn, since it knows neither the pitch nor where the eye stands."""
@@ -73,7 +75,11 @@ class RetrievalEffort:
     """Mean number of rough fits for any other place."""
     good_share: float = 1 / 3
     """Share of the rough fits from which poses are fitted well: the best ones."""
+    good_least: int = 1024
+    """Least number of good fits, as many as a whole first short list has. In a search of few places
+    every pose is fitted well, so the short list lacks none of them."""
     good_most: int = 8192
+    """Greatest number of good fits."""
     separation_m: float = 30.0
     """A pose nearer to a better one that looks the same way is left out of the short list."""
     same_turn_deg: float = 20.0
@@ -128,19 +134,20 @@ class Retriever:
         prior: Prior = NOTHING_KNOWN,
         report: ReportProgress = silent,
     ) -> Iterator[Poses]:
-        """Yield up to ``count`` likely poses of a photo, best first, of ever more places.
+        """Yield short lists of a photo's likely poses, each of more places.
 
-        Poses may lie between the places. Each list has the best poses of the lists before it.
-        Raises `InputError` where the search is narrowed to no place.
+        A list has up to ``count`` poses, best first, which may lie between the places. The poses of
+        earlier lists compete again for a place in later ones. A list is empty where no fitted pose
+        lies within the narrowing. Raises `InputError` where the search is narrowed to no place.
         """
         best: list[Poses] = []
-        counts = (min(_EFFORT.first, self._rough), self._rough)
+        counts = (_EFFORT.first, self._rough)
         for alike in self._screened([self._screens(rays, prior)], [prior], counts, report):
             places = self.places.take(alike.row)
             share = _EFFORT.starts_later if best else _EFFORT.starts_first
             starts = math.ceil(share * len(places))
             start = self._start(rays, prior, places, alike.score, starts)
-            fitted = self._fitted([rays], [start], report)[0]
+            fitted = self._fitted([rays], [start], _good_count(len(start)), report)[0]
             best.append(fitted[prior.allows(fitted)])
             poses = Poses.concatenate(best)
             distinct = poses.suppress_non_maxima(count, _EFFORT.separation_m, _EFFORT.same_turn_deg)
@@ -154,32 +161,29 @@ class Retriever:
         counts: Sequence[int],
         report: ReportProgress,
     ) -> Iterator[Alike]:
-        """Yield the best places of photos: the best few, then those that follow, and so on.
+        """Yield the places of each short list that earlier lists lack.
 
-        ``screens`` has a coarse and a fine one for each photo, and ``counts`` how many places there
-        are in all after each part. The scores of photos are added. Raises `InputError` where the
-        search is narrowed to no place.
+        ``screens`` holds the coarse and the fine screen of each photo, whose scores are added.
+        ``counts`` says of how many places each list is, the places of earlier lists included; there
+        are fewer if fewer lie within the narrowings. Raises `InputError` where none does.
         """
         coarse, fine = (_sum_of(level) for level in zip(*screens, strict=True))
-        waiting = screen_places(
+        ranked = screen_places(
             coarse,
             self.places,
             _EFFORT.screened_again * counts[-1],
             lambda some: np.all([prior.contains(some) for prior in priors], axis=0),
             report,
         )
-        if not len(waiting):
+        if not len(ranked):
             raise self._no_place_error(priors)
-        known = waiting[:0]
-        given = 0
-        for count in counts:
-            again = _EFFORT.screened_again * count - given - len(known)
-            known = Alike.joined([known, rescored(fine, self.places, waiting[:again])])
-            known = known.best(len(known))
-            waiting = waiting[again:]
-            part = known[: count - given]
-            known = known[count - given :]
-            given += len(part)
+        waiting = ranked[:0]
+        for before, count in pairwise((0, *counts)):
+            more = ranked[_EFFORT.screened_again * before : _EFFORT.screened_again * count]
+            # Places that did not get into the list before this one compete again.
+            waiting = Alike.joined([waiting, rescored(fine, self.places, more)]).best()
+            part = waiting[: count - before]
+            waiting = waiting[count - before :]
             if len(part):
                 yield part
 
@@ -201,7 +205,7 @@ class Retriever:
             heading_rad=heading_rad.ravel(),
             log_scale=log_scale.ravel(),
         )
-        return self._fitted([rays], [start], silent)[0]
+        return self._fitted([rays], [start], _EFFORT.good_most, silent)[0]
 
     def shortlist_together(
         self,
@@ -225,7 +229,8 @@ class Retriever:
             self._start(rays, prior, places, fine.scores(places.phase), len(places), turns=1)
             for (rays, prior), (_, fine) in zip(photos, screens, strict=True)
         ]
-        found = self._fitted([rays for rays, _ in photos], starts, report)
+        every = [rays for rays, _ in photos]
+        found = self._fitted(every, starts, _good_count(len(places)), report)
         shared = {
             "easting_m": np.mean([one.easting_m for one in found], axis=0),
             "northing_m": np.mean([one.northing_m for one in found], axis=0),
@@ -243,7 +248,7 @@ class Retriever:
         )
 
     def _screens(self, rays: Rays, prior: Prior) -> tuple[Screen, Screen]:
-        """Return the coarse and the fine screen that find places."""
+        """Return the coarse and the fine screen of a photo."""
         return (
             self._screen(rays, prior, _likely_log_scales(rays, _EFFORT.coarse_step), coarse=True),
             self._screen(rays, prior, _likely_log_scales(rays, _EFFORT.screened_step)),
@@ -266,9 +271,10 @@ class Retriever:
         count: int,
         turns: int = _EFFORT.turns,
     ) -> "_Start":
-        """Return the ``count`` best starts of fits, of so many turns of each place.
+        """Return up to ``count`` starts of fits, the best ones.
 
-        Places are handled in small groups, because each is compared at every turn.
+        Each place offers its best ``turns``. Places are handled in small groups, because each is
+        compared at every turn.
         """
         log_scales = _likely_log_scales(rays, _EFFORT.start_step)
         screen = self._screen(rays, prior, log_scales)
@@ -281,6 +287,8 @@ class Retriever:
                 np.concatenate(part).ravel() for part in zip(*found, strict=True)
             )
         best = np.sort(np.argsort(-peak, kind="stable")[:count])
+        # In a narrow range of headings a place may have fewer turns than are asked for.
+        best = best[peak[best] > -np.inf]
         row = best // turns
         return _Start(
             places=places[row],
@@ -290,17 +298,25 @@ class Retriever:
         )
 
     def _fitted(
-        self, photos: Sequence[Rays], starts: Sequence["_Start"], report: ReportProgress
+        self,
+        photos: Sequence[Rays],
+        starts: Sequence["_Start"],
+        count: int,
+        report: ReportProgress,
     ) -> list[Poses]:
-        """Return the photos' poses fitted at their best common places."""
-        rough = [
-            self._fits(rays, start, ROUGH_FIT, report)
-            for rays, start in zip(photos, starts, strict=True)
-        ]
-        good = min(math.ceil(_EFFORT.good_share * len(rough[0])), _EFFORT.good_most)
-        best = np.sort(np.argsort(_total(rough), kind="stable")[:good])
+        """Return the photos' poses fitted well from the ``count`` best common starts.
+
+        Rough fits choose these starts, where there are more.
+        """
+        if count < len(starts[0]):
+            rough = [
+                self._fits(rays, start, ROUGH_FIT, report)
+                for rays, start in zip(photos, starts, strict=True)
+            ]
+            best = np.sort(np.argsort(_total(rough), kind="stable")[:count])
+            starts = [start[best] for start in starts]
         return [
-            self._fits(rays, start[best], GOOD_FIT, report)
+            self._fits(rays, start, GOOD_FIT, report)
             for rays, start in zip(photos, starts, strict=True)
         ]
 
@@ -348,6 +364,12 @@ class _Start(Rows):
     log_scale: Float64Array
 
 
+def _good_count(rough: int) -> int:
+    """Return how many poses are fitted well after so many rough fits."""
+    share = math.ceil(_EFFORT.good_share * rough)
+    return min(max(share, _EFFORT.good_least), _EFFORT.good_most)
+
+
 def _total(found: Sequence[Poses]) -> Float64Array:
     """Return the sum of photos' costs at the same places.
 
@@ -376,7 +398,7 @@ def _even_log_scales(rays: Rays, low: float, high: float, step: float) -> Float6
 
 
 def _likely_log_scales(rays: Rays, step: float) -> Float64Array:
-    """Return the logarithms of the scales of likely fields of view, a step apart."""
+    """Return `Rays.log_scale` of likely fields of view, a step apart."""
     likely = _EFFORT.likely_sd * rays.log_scale_sd
     low, high = np.clip(rays.log_scale_bounds, -likely, likely)
     return _even_log_scales(rays, float(low), float(high), step)

@@ -12,8 +12,8 @@ where r_q is the rate at which a phase changes as the camera rolls. The second t
 the roll that suits the turn best, to second order, with all rolls equally likely. A roll of 5
 degrees adds as much to every rise as a smooth skyline has.
 
-Screening is coarse to fine: a `Screen` that is coarse compares every place, and one that is not the
-best of them.
+Screening is coarse to fine. A coarse `Screen` compares all places (`screen_places`), and a fine one
+compares the best of them again (`rescored`).
 
 A photo sees part of the full turn. The sums of twenty neighbouring turns are therefore one product
 of a strip of phases, a little wider than the photo, with a matrix that holds the photo twenty
@@ -51,10 +51,10 @@ ReportProgress = Callable[[str, float], None]
 exception that it raises ends the match."""
 
 _TURNS_AT_ONCE = 20
-"""Turns that one product goes through; must divide the number of bins. With more turns, more of
-each product is wasted; with fewer, the products are too small to be fast."""
+"""Neighbouring turns that one product spans; must divide the number of bins. With more turns, more
+of each product is wasted; with fewer, the products are too small to be fast."""
 _COARSE_TURNS = 2
-"""Bins from turn to turn of a coarse screen; must divide `_TURNS_AT_ONCE`."""
+"""Bins from one compared turn of a coarse screen to the next; must divide `_TURNS_AT_ONCE`."""
 _APART_TURNS = 6
 """Least difference of the best turns of a place: 12 degrees."""
 _SLACK = 4
@@ -89,8 +89,8 @@ class Alike(Rows):
     row: IntArray
     score: Float32Array
 
-    def best(self, count: int) -> "Alike":
-        """Return the best ``count`` places; equal ones in the source's order."""
+    def best(self, count: int | None = None) -> "Alike":
+        """Return the best ``count`` places, by default all; equal ones in the source's order."""
         return self[np.lexsort((self.row, -self.score))[:count]]
 
     @classmethod
@@ -116,7 +116,8 @@ class Screen:
     penalty : (F,) float64, optional
         Loss of the scores at each field of view, in deviations; by default none.
     coarse : bool
-        Every other turn is compared, with a level camera. That takes a quarter of the time.
+        Whether only every other turn is compared, with a level camera: a quarter of the work. A
+        coarse screen gives scores, and no best turns.
     """
 
     def __init__(
@@ -144,9 +145,9 @@ class Screen:
         self._first = first
         self._span = last - first + 1
         self._fovs = len(fovs_deg)
-        # (2, 2 (span + 19), F T) float32. The photo at F fields of view and the T compared ones of
-        # 20 turns, and its derivative by roll, scaled so that the square of the second product is
-        # the gain of a roll. A coarse screen has no derivative.
+        # (2, 2 (span + 19), F T) float32. The photo at F fields of view and at T turns, which are
+        # those of 20 that are compared; then its derivative by roll, scaled so that the square of
+        # its product is the gain of a roll. A coarse screen has no derivative.
         waves = np.stack([level] if coarse else [level, _rolled(level)])
         self._matrices = _at_turns(waves[:, :, first : last + 1], self._turn_step)
         sums = self._every_turn(sample.phase)
@@ -183,8 +184,9 @@ class Screen:
         """Return the headings, fields of view and scores of the best turns.
 
         Each is (N, C); fields of view are returned as their indices. The best comes first, and
-        others are at least `_APART_TURNS` from better ones; where no open turn is left, it is the
-        best again. Headings are grid azimuths of the optical axis, degrees.
+        others are at least `_APART_TURNS` from better ones. Where no open turn is left, the best
+        one is returned again, with the score -inf. Headings are grid azimuths of the optical axis,
+        degrees.
         """
         sums = self._every_turn(phase)
         score = (sums - self.mean[:, np.newaxis]) * self.scale[:, np.newaxis]
@@ -211,12 +213,14 @@ class Screen:
         strip = np.concatenate([phase[:, self._first :], phase, phase], axis=1)[:, :wanted]
         waves = decode_phases(strip).view(np.float32)
         runs = sliding_window_view(waves, self._matrices.shape[1], axis=1)[:, :: 2 * _TURNS_AT_ONCE]
-        # Several products: the parts of one would lie apart, and squaring them takes as long again.
+        # The derivative has a product of its own. In a joint one its sums would lie apart, and to
+        # square them would take as long again.
         level, *rolled = np.matmul(runs[:, parts].transpose(1, 0, 2), self._matrices[:, np.newaxis])
         for change in rolled:
             np.square(change, out=change)
             level += change
-        return np.reshape(level, (len(level), len(phase), self._fovs, -1))
+        turns = _TURNS_AT_ONCE // self._turn_step
+        return np.reshape(level, (len(level), len(phase), self._fovs, turns))
 
 
 def _rolled(level: Complex128Array) -> Complex128Array:
@@ -313,14 +317,17 @@ def screen_places(
 
 
 def rescored(scores: Scores, source: PlaceSource, alike: Alike) -> Alike:
-    """Return places with other scores, best first."""
+    """Return places with new scores, best first.
+
+    The rows are read in the order of the source, which may be a file.
+    """
     order = np.argsort(alike.row, kind="stable")
     rows = alike.row[order]
     parts = range(0, len(rows), _PLACES_AT_ONCE)
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         found = pool.map(lambda k: scores(source.phases(rows[k : k + _PLACES_AT_ONCE])), parts)
         none = np.zeros(0, dtype=np.float32)
-        return Alike(rows, np.concatenate([none, *found])).best(len(rows))
+        return Alike(rows, np.concatenate([none, *found])).best()
 
 
 def _batches(source: PlaceSource) -> Iterator[list[tuple[int, Places]]]:

@@ -20,10 +20,7 @@ from skyline.match.refine import QUICK, WHOLE, Refinement
 from skyline.match.retrieval import Retriever
 from skyline.match.screen import ReportProgress, silent
 from skyline.match.together import JointRefinement
-from skyline.pose import (
-    Pose,
-    Poses,
-)
+from skyline.pose import Pose, Poses
 from skyline.render.horizon import RenderedScene
 from skyline.store.layout import PLACES
 from skyline.store.mapped_places import PlaceSource
@@ -118,10 +115,9 @@ class FullMatcher(SearchMethod):
     ) -> tuple[Poses, Poses | None]:
         """Return the poses retrieved for a photo, and the refined ones.
 
-        The refined ones are None without a scene. The most promising places come first, with a
-        quick refinement. That is enough where one place fits far better than any other, as with
-        most skylines. Otherwise all places that are worth a fit are tried, with more effort. Raises
-        as `search`.
+        The refined ones are None without a scene. The first short list is refined quickly. That is
+        enough where one place fits far better than any other, as with most skylines. Otherwise the
+        last short list is refined with more effort. Raises as `search`.
         """
         scene = self._scene
         lists = self.retriever.shortlists(rays, self._shortlist, prior, report)
@@ -247,7 +243,8 @@ class FullMatcher(SearchMethod):
 def _with_noted(found: Poses, near: Poses | None) -> Poses:
     """Return retrieved poses with those around the photo's noted place.
 
-    The best of these gets the cost of the best pose of all; refinement then compares them.
+    The costs of the latter are shifted: their best pose is as good as the best of all, and
+    refinement compares them.
     """
     if near is None or not len(near) or not len(found):
         return found

@@ -112,8 +112,8 @@ SCOUT = SolverMode(steps=3, choices=4, nodes=0, bins=480)
 ROUGH = SolverMode(steps=3, choices=4, nodes=0)
 """For the search: quick, and it converges from farther away."""
 FOLLOW = SolverMode(steps=3, choices=2, nodes=0)
-"""For poses that move on after a rough fit: their errors change little from one rendering to the
-next, and choosing them is most of a fit's work."""
+"""For poses that move on after a rough fit. The chosen deviations change little from one rendering
+to the next, and choosing them is most of a fit's work."""
 FINE = SolverMode(steps=2, choices=1, nodes=32)
 """For the last rounds: near and far terrain have the right weights, and costs and covariances have
 their statistical meaning."""
@@ -391,7 +391,7 @@ class Solver:
         to_angle = 1.0 / (1.0 + ray_y**2)
         attitude = ray_change - slope * turned_change
         change = np.concatenate([-change, -slope, attitude], axis=-1)
-        # Products are over the columns, which lie together.
+        # The photo's columns come last, since products sum over them.
         jacobian = np.ascontiguousarray(change.swapaxes(1, 2))
         jacobian *= to_angle[:, np.newaxis]
         residual = (ray_y - y) * to_angle

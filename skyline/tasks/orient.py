@@ -19,7 +19,8 @@ class CameraAt:
     elevation_m: float | None = None
     """Elevation of the eye above the DEM's datum; only with a position."""
     position_sd_m: float | None = None
-    """Standard deviation of the position; by default what a photo notes, or 50 m."""
+    """Standard deviation of the position; by default 50 m, or `noted_position_sd_m` for a photo's
+    own position."""
 
     def __post_init__(self) -> None:
         if self.elevation_m is not None and self.lonlat_deg is None:

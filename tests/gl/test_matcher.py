@@ -1,17 +1,24 @@
 """The full matcher, from a store to an answer or a refusal."""
 
+import math
 from dataclasses import replace
+from itertools import groupby
 
 import numpy as np
 import pytest
+from place_scenes import AZIMUTH_DEG, curve, places_of, rays
 from scenes import NORTH_M, WEST_M, at_deg
 
 from skyline import MatchConfig, Matcher, Narrowing, build_places, horizon
 from skyline.camera import Projection
 from skyline.errors import InputError
 from skyline.geodesy.bounds import in_turn
+from skyline.match import search
+from skyline.match.prior import NOTHING_KNOWN
 from skyline.match.solver import TEMPERATURE
+from skyline.photo.noted_place import NotedPlace
 from skyline.photo.skyline import Lens, PhotoSkyline
+from skyline.render.horizon import RenderConfig, RenderedScene
 from skyline_bench.queries.synthetic import QueryConfig, make_queries, make_queries_together
 
 MIDDLE = (WEST_M + 3600.0, NORTH_M - 4800.0, WEST_M + 4800.0, NORTH_M - 3600.0)
@@ -72,6 +79,22 @@ def test_nothing_fits_a_skyline_of_almost_no_width(store, terrain, queries):
     with Matcher(store, terrain) as matcher:
         result = matcher.match(strip)
     assert (result.candidates, result.refusal) == ((), "no place fits")
+
+
+def test_a_direction_in_which_nothing_was_seen_has_no_place(store, terrain, queries):
+    away_deg = (queries[0].truth.heading_deg + 180.0) % 360.0
+    away = Narrowing(heading_deg=(away_deg, 1e-6))
+    with Matcher(store, terrain) as matcher:
+        result = matcher.match(queries[0].skyline, narrowing=away)
+    assert (result.candidates, result.refusal) == ((), "no place fits")
+
+
+def test_a_photo_that_notes_a_place_far_from_the_store_is_searched(store, terrain, queries):
+    lon, lat = terrain.frame.to_lonlat(WEST_M + 60_000.0, NORTH_M)
+    noted = NotedPlace(lonlat_deg=(float(lon), float(lat)))
+    with Matcher(store, terrain, config=BOLD) as matcher:
+        best = matcher.match(replace(queries[0].skyline, noted=noted)).answer
+    assert error_m(best, queries[0].truth) < 10.0
 
 
 def test_an_unknown_field_of_view_is_searched(store, terrain, queries):
@@ -205,6 +228,26 @@ def test_photos_of_one_place_are_not_matched_without_rendering(
         pytest.raises(InputError, match="this needs rendering: use the full matcher"),
     ):
         matcher.match_together(skylines)
+
+
+@pytest.mark.parametrize(("margin", "lists"), [(-math.inf, 1), (math.inf, 2)])
+def test_a_sure_answer_of_the_first_short_list_ends_the_search(terrain, monkeypatch, margin, lists):
+    """The first list is of 2048 of the 2100 places; each is refined once it is fitted."""
+    monkeypatch.setattr(search, "WHOLE", search.QUICK)
+    monkeypatch.setattr(search.FullMatcher, "sure_margin", margin)
+    steps = []
+    skylines = np.stack([curve(seed % 40, AZIMUTH_DEG) for seed in range(2100)])
+    places = places_of(skylines, spacing_m=0.5)
+    places = replace(
+        places,
+        easting_m=MIDDLE[0] + places.easting_m,
+        northing_m=MIDDLE[1] + places.northing_m,
+    )
+    scene = RenderedScene(terrain, RenderConfig(360))
+    matcher = search.FullMatcher(places, None, scene)
+    matcher.found(rays(3, 77.0), NOTHING_KNOWN, lambda step, share: steps.append(step))
+    scene.release()
+    assert [step for step, _ in groupby(steps)] == ["screening", *["fitting", "refining"] * lists]
 
 
 def test_the_number_of_candidates_changes_none_of_them(store, terrain, queries):

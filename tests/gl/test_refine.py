@@ -193,3 +193,8 @@ def test_no_pose_leaves_the_map(scene, rays):
     found = Refinement(rays_of(*rays, 60.0), scene, SHORT).run(edge)
     assert np.isfinite(scene.ground_m(found.easting_m, found.northing_m)).all()
     assert np.isfinite(found.eye_elevation_m).all()
+
+
+def test_no_pose_gives_no_pose(scene, rays):
+    found = Refinement(rays_of(*rays, 60.0), scene, SHORT).run(_around()[:0])
+    assert len(found) == 0

@@ -66,7 +66,9 @@ def assert_holds(store, rows, index=slice(None)):
     """Assert that rows of a store, read in every way there is, are those numbered ``rows``."""
     wanted, last = np.atleast_1d(rows[index]), int(rows.max(initial=-1)) + 1
     if store.header.holds == PLACES:
-        got = store.places().take(np.atleast_1d(np.arange(len(store))[index]))
+        chosen = np.atleast_1d(np.arange(len(store))[index])
+        got = store.places().take(chosen)
+        np.testing.assert_array_equal(store.places().phases(chosen), got.phase)
         whole = numbered_places(0, last)
     else:
         whole, keypoints = numbered_views(0, last)

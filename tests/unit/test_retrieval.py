@@ -1,5 +1,7 @@
 """Retrieval: poses found back among places."""
 
+import os
+import threading
 from dataclasses import replace
 
 import numpy as np
@@ -7,8 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from place_scenes import AZIMUTH_DEG, curve, photo, places_of, rays
-from ray_scenes import equally_trusted
+from ray_scenes import equally_trusted, swept
 
+from skyline.errors import InputError
+from skyline.match.prior import NOTHING_KNOWN, Narrowing, Prior
 from skyline.match.retrieval import Retriever
 
 
@@ -100,14 +104,105 @@ def test_missing_headings_do_not_stop_the_others():
     assert turned(found.grid_heading_deg[0], 100.0) < 0.3
 
 
+def many(count):
+    """Return places with 40 different skylines in turn."""
+    return places_of(
+        np.stack([curve(seed, AZIMUTH_DEG) for seed in range(40)])[np.arange(count) % 40]
+    )
+
+
+def within_m(radius_m):
+    """Return a search that is narrowed to places near the first one."""
+    return Prior(circles_m=((0.0, 0.0, radius_m),))
+
+
 def test_later_lists_add_to_the_first_one():
     """The first list is of 2048 places, the second of all 2300."""
-    seeds = np.arange(2300) % 40
-    places = places_of(np.stack([curve(seed, AZIMUTH_DEG) for seed in range(40)])[seeds])
-    first, last = Retriever(places).shortlists(rays(3, 77.0), 5)
+    first, last = Retriever(many(2300)).shortlists(rays(3, 77.0), 5)
     assert last.cost[0] <= first.cost[0]
     assert len(first) == len(last) == 5
 
 
-def test_few_places_make_one_list(places):
-    assert len(list(Retriever(places).shortlists(rays(3, 77.0), 5))) == 1
+@pytest.mark.parametrize(("places", "lists"), [(1, 1), (2048, 1), (2049, 2), (2200, 2)])
+def test_places_beyond_the_first_list_make_another(places, lists):
+    """Places are 100 m apart, so 204,750 m reach the 2048th one."""
+    prior = within_m(100.0 * places - 50.0)
+    found = list(Retriever(many(2300)).shortlists(rays(3, 77.0), 5, prior))
+    assert len(found) == lists
+    assert all(prior.contains(poses).all() for poses in found)
+
+
+def test_every_place_of_a_narrow_search_is_fitted(places):
+    found = Retriever(places).shortlist(rays(1, 77.0), 100, within_m(250.0))
+    nearest = np.rint(found.easting_m / 100.0)
+    assert set(nearest) == {0.0, 1.0, 2.0}
+    assert nearest[0] == 1.0
+
+
+def test_a_narrow_range_of_headings_repeats_no_fit():
+    """Of the 1024 good fits of the first list, 552 had places of their own when some repeated."""
+    prior = Prior(Narrowing(heading_deg=(257.0, 1e-3)))
+    first = next(Retriever(many(2300)).shortlists(rays(3, 77.0), 5000, prior))
+    assert len(np.unique(np.rint(first.easting_m / 100.0))) > 800
+
+
+def test_a_known_place_is_fitted_from_every_heading(places):
+    """Headings are 3 degrees apart: 120 of each of 2 places."""
+    assert len(Retriever(places[:2]).fitted_all_round(rays(1, 77.0))) == 240
+
+
+def test_a_search_of_no_place_is_refused(places):
+    with pytest.raises(InputError, match="no place of the store"):
+        next(
+            Retriever(places).shortlists(rays(3, 77.0), 5, Prior(circles_m=((-900.0, 0.0, 99.0),)))
+        )
+
+
+def test_a_panorama_all_the_way_round_is_found(places):
+    """Its field of view is exact, so its deviation is not known: it is infinite."""
+    seen = swept(lambda azimuth: curve(7, np.degrees(azimuth)), 130.0, 0.0, 360.0)
+    found = Retriever(places).shortlist(seen, 3)
+    assert found.easting_m[0] == pytest.approx(700.0, abs=50.0)
+    assert turned(found.grid_heading_deg[0], 130.0) < 0.3
+    assert found.fov_deg[0] == 360.0
+
+
+def test_photos_of_one_eye_share_their_places(places):
+    west = Prior(Narrowing(heading_deg=(250.0, 1.0)))
+    photos = [(rays(7, 30.0), NOTHING_KNOWN), (rays(7, 250.0), west)]
+    one, other = Retriever(places).shortlist_together(photos, 5)
+    assert len(one) == len(other) == 5
+    np.testing.assert_array_equal(one.easting_m, other.easting_m)
+    np.testing.assert_array_equal(one.cost, other.cost)
+    assert one.easting_m[0] == pytest.approx(700.0, abs=50.0)
+    assert turned(one.grid_heading_deg[0], 30.0) < 0.3
+    assert turned(other.grid_heading_deg[0], 250.0) < 0.3
+
+
+def test_threads_change_nothing(monkeypatch):
+    seen = replace(rays(3, 77.0), fov_range_deg=(50.0, 70.0), fov_sd_deg=4.0)
+    places = many(2300)
+
+    def costs(threads):
+        monkeypatch.setattr(os, "cpu_count", lambda: threads)
+        return [poses.cost for poses in Retriever(places).shortlists(seen, 20)]
+
+    for one, several in zip(costs(1), costs(5), strict=True):
+        np.testing.assert_array_equal(one, several)
+
+
+@pytest.mark.parametrize("reports", [1, 2, 5])
+def test_a_search_ends_where_its_report_raises(reports):
+    """The 1st report is of screening, the 2nd and 3rd of the first list, the 5th of the second."""
+    before = threading.active_count()
+    said = []
+
+    def report(step, share):
+        said.append(step)
+        if len(said) == reports:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        list(Retriever(many(2300)).shortlists(rays(3, 77.0), 5, report=report))
+    assert len(said) == reports
+    assert threading.active_count() == before

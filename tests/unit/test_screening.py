@@ -100,3 +100,9 @@ def test_places_get_other_scores_in_a_new_order(places):
     assert found.row[0] == 11
     assert sorted(found.row) == [3, 5, 11, 40]
     np.testing.assert_allclose(found.score, score[found.row], rtol=1e-5)
+
+
+def test_no_place_gets_no_score(places):
+    screen = Screen(wide(11, 200.0), FOVS_DEG, places)
+    none = Alike.joined([])
+    assert len(rescored(screen.scores, places, none)) == 0

@@ -73,6 +73,7 @@ class TestDamage:
         os.truncate(path, path.stat().st_size // 2)
         assert_says(f"{path}.* is truncated", lambda: mapped.take(np.array([2999])), StoreError)
         assert_says(f"{path}.* is truncated", lambda: list(mapped.blocks()), StoreError)
+        assert_says(f"{path}.* is truncated", lambda: mapped.phases(np.array([0])), StoreError)
 
     @pytest.mark.parametrize("header", HEADERS.values(), ids=HEADERS)
     def test_of_a_store_to_be_merged(self, tmp_path, header):
