@@ -69,10 +69,8 @@ class RetrievalEffort:
     turns: int = 3
     """Best turns of a place that screening passes on. Screening finds the right place more often
     than the right turn, since it knows neither the pitch nor where the eye stands."""
-    starts_first: float = 1.5
-    """Mean number of rough fits for a place of the first short list."""
-    starts_later: float = 0.5
-    """Mean number of rough fits for any other place."""
+    starts: float = 1.5
+    """Mean number of rough fits for a place."""
     good_share: float = 1 / 3
     """Share of the rough fits from which poses are fitted well: the best ones."""
     good_least: int = 1024
@@ -144,8 +142,7 @@ class Retriever:
         counts = (_EFFORT.first, self._rough)
         for alike in self._screened([self._screens(rays, prior)], [prior], counts, report):
             places = self.places.take(alike.row)
-            share = _EFFORT.starts_later if best else _EFFORT.starts_first
-            starts = math.ceil(share * len(places))
+            starts = math.ceil(_EFFORT.starts * len(places))
             start = self._start(rays, prior, places, alike.score, starts)
             fitted = self._fitted([rays], [start], _good_count(len(start)), report)[0]
             best.append(fitted[prior.allows(fitted)])
