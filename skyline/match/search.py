@@ -30,6 +30,8 @@ from skyline.terrain.viewpoints import LEAST_EYE_HEIGHT_M, Viewpoints
 
 _SHORTLIST_LEAST = 400
 """Least number of poses that retrieval returns."""
+SURE_MARGIN = 75.0
+"""A quick refinement is enough where its best pose leads all other answers by this margin."""
 _SEPARATION_M = 100.0
 """Least distance between candidates."""
 
@@ -60,8 +62,7 @@ class FullMatcher(SearchMethod):
     renders = True
     finds_fov = True
     takes_prior = True
-    sure_margin: ClassVar[float] = 75.0
-    """A quick refinement is enough where its best pose leads all other answers by this margin."""
+    sure_margin: ClassVar[float] = SURE_MARGIN
 
     def __init__(
         self, places: PlaceSource, terrain: HeightField | None, scene: RenderedScene | None
