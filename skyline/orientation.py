@@ -109,7 +109,7 @@ _EFFORT = Effort(
 
 @dataclass(frozen=True, slots=True)
 class _Doubts:
-    """What speaks against the best pose at a known place."""
+    """Limits from which the best pose at a known place is doubtful."""
 
     eye_sds: float = 3.0
     """Eyes are the same if their heights differ by less than so many deviations of the terrain

@@ -35,7 +35,7 @@ def read_pose(path: Path, photo: Path, projection: Projection) -> NotedPose:
 
 
 def _records_in(path: Path) -> list[Any]:
-    """Return what a file of JSON or of lines of JSON has."""
+    """Return the records of a file of JSON, or of lines of JSON."""
     content = read_bytes(path, EXPECTED_RECORD)
     if not content.strip():
         raise InputError(f"pose {path} is empty; {EXPECTED_RECORD}")

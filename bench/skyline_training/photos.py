@@ -287,7 +287,7 @@ def stitch(drawing: Drawing) -> None:
 
 
 def developed(rng: np.random.Generator, picture: Float32Array) -> UInt8Array:
-    """Return what lens, sensor, taste and JPEG make of a picture."""
+    """Return a picture after lens, sensor, processing and JPEG."""
     height, width = picture.shape[:2]
     light = np.clip(picture / 255.0, 0.0, 1.3)
     if rng.random() < 0.3:

@@ -320,7 +320,7 @@ def _frame(
 
 
 def _expose(rng: np.random.Generator, recipe: Recipe, picture: Float32Array) -> UInt8Array:
-    """Return what the camera and the file make of a picture."""
+    """Return a picture after the camera and the file."""
     sigma = rng.uniform(*recipe.blur_px) * recipe.size_px[0] / 1200.0
     blurred = ndimage.gaussian_filter(picture, (sigma, sigma, 0.0))
     noisy = blurred + recipe.noise * rng.standard_normal(picture.shape)

@@ -34,7 +34,7 @@ from skyline.arrays import Float64Array, Rows
 
 @dataclass(frozen=True, slots=True)
 class ErrorModel:
-    """What is assumed about height errors and about columns without terrain."""
+    """Assumptions about height errors and about columns without terrain."""
 
     reach_m: float = 300.0
     """Distance at which the correlation of height errors has fallen to 1 / e."""

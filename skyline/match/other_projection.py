@@ -35,7 +35,7 @@ FISHEYE = "fisheye"
 
 @dataclass(frozen=True, slots=True)
 class BentImages:
-    """What is assumed about panoramas and fisheyes, and how they are fitted."""
+    """Assumptions about panoramas and fisheyes, and how they are fitted."""
 
     least_confidence: float = 0.5
     """Least confidence of a pose that shows which projection a photo has; a pose of less may well

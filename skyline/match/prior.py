@@ -37,7 +37,7 @@ NOTED_KM = 10.0
 
 @dataclass(frozen=True, slots=True)
 class _ExifErrors:
-    """What is assumed about errors of EXIF's positions, altitudes and compasses."""
+    """Assumed errors of EXIF's positions, altitudes and compasses."""
 
     wrong_share: float = 0.05
     """w, the share of wrong positions. Of 20 photos examined, one had a position 6 km off."""
@@ -81,7 +81,7 @@ _EXIF = _ExifErrors()
 
 @dataclass(frozen=True, slots=True)
 class _Aloft:
-    """What is assumed about eyes in flight."""
+    """Assumptions about eyes in flight."""
 
     share: float = 0.05
     """Share of photos from drones, towers, cable cars and balloons: a guess."""

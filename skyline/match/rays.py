@@ -26,7 +26,7 @@ usual zoom lens."""
 
 @dataclass(frozen=True, slots=True)
 class CameraModel:
-    """What is assumed about the lenses and the panoramas of photos."""
+    """Assumptions about the lenses and the panoramas of photos."""
 
     distortion_sd: float = 0.01
     """Standard deviation of a lens's distortion. The distortions of 3,500 lenses in lensfun's

@@ -153,7 +153,7 @@ class MatchResult:
 
     @property
     def exif(self) -> dict[str, Any] | None:
-        """What EXIF notes of the pose, and the best candidate's distance.
+        """The pose noted in EXIF, and how far off the best candidate lies.
 
         The keys are as in ``exif`` of ``skyline match --json``. ``heading_off_deg`` is how far
         the best candidate's heading is clockwise of the photo's; ``heading_is_magnetic`` is None

@@ -62,7 +62,7 @@ _HELD = 1e14
 
 @dataclass(frozen=True, slots=True)
 class SolverPriors:
-    """What the solver expects of cameras and terrain, and its damping."""
+    """Priors of cameras and terrain, and the damping of a step."""
 
     pitch_sd_rad: float = np.radians(6.0)
     """Standard deviation from a level camera."""

@@ -23,7 +23,7 @@ _EYE = slice(EYE_HEIGHT + 1)
 
 @dataclass(frozen=True, slots=True)
 class JointSearch:
-    """What a joint refinement assumes, and which places it follows."""
+    """Assumptions of a joint refinement, and the places that it follows."""
 
     stranger: float = 10.0
     """L, the log odds that a photo was taken at the place where it fits best: one photo in twenty

@@ -11,7 +11,7 @@ from skyline.photo.skyline import PhotoSkyline
 
 @dataclass(frozen=True, slots=True)
 class _Mask:
-    """What is taken for a sky mask, and for a wrong one."""
+    """Limits within which an image is a sky mask."""
 
     nearly: int = 24
     """Levels within which a pixel counts as black or white: masks saved as JPEG ring."""

@@ -61,7 +61,7 @@ class MetricDem:
     frame: Frame
     provenance: Provenance
     source: Source | None = None
-    """What lazy heights are made from."""
+    """The source of lazy heights; None where the heights need no warp."""
 
 
 def metric_dem(mosaic: "Mosaic", options: DemOptions) -> MetricDem:

@@ -22,7 +22,7 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class SurfaceRules:
-    """What a surface model may look like above a DEM."""
+    """Limits of a surface model's heights above a DEM."""
 
     unknown_m: float = 40.0
     """Height above ground that is assumed where a surface model has no height: tall trees."""

@@ -65,7 +65,7 @@ def strokes_of(asked: Any) -> list[Stroke]:
 
 
 def known_of(asked: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return what the user knows, as in a request for a search."""
+    """Return the user's knowledge of the pose from a request."""
     known = asked.get("known", {})
     if not isinstance(known, Mapping):
         raise InputError("what is known is no JSON object; reload the page")

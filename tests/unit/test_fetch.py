@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import rasterio
-from range_server import Behaviour, serve, serve_apart
+from range_server import serve_apart
 from tile_scenes import (
     BOUNDS,
     EAST,
@@ -15,8 +15,6 @@ from tile_scenes import (
     fetch,
     geotiff,
     masked_tile,
-    two_degrees,
-    two_tiles,
 )
 
 from skyline import read_dem
@@ -24,27 +22,6 @@ from skyline.errors import FetchError, InputError
 from skyline.fetch import remote
 from skyline.fetch.dem_tiles import SOURCES, address, tile_corners
 from skyline.fetch.remote import Patience
-
-
-@pytest.fixture(scope="module")
-def heights():
-    return two_degrees()
-
-
-@pytest.fixture(scope="module")
-def contents(heights):
-    return two_tiles(heights)
-
-
-@pytest.fixture
-def server(contents):
-    return Behaviour(files=dict(contents))
-
-
-@pytest.fixture
-def template(server):
-    with serve(server) as host:
-        yield host + NAMES
 
 
 def expect_heights(result, heights):

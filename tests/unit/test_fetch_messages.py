@@ -1,7 +1,7 @@
 """What is said where elevation tiles cannot be fetched, each in one line."""
 
 import pytest
-from range_server import Behaviour, serve, serve_apart
+from range_server import serve_apart
 from refusals import assert_says
 from tile_scenes import (
     EAST,
@@ -13,30 +13,12 @@ from tile_scenes import (
     fetch,
     geotiff,
     masked_tile,
-    two_degrees,
-    two_tiles,
 )
 
 from skyline.errors import FetchError
 from skyline.fetch import remote
 from skyline.fetch.dem_tiles import MAX_TILES
 from skyline.fetch.remote import Patience
-
-
-@pytest.fixture(scope="module")
-def heights():
-    return two_degrees()
-
-
-@pytest.fixture
-def server(heights):
-    return Behaviour(files=two_tiles(heights))
-
-
-@pytest.fixture
-def template(server):
-    with serve(server) as host:
-        yield host + NAMES
 
 
 class TestServers:

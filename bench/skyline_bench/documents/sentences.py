@@ -73,7 +73,7 @@ def _elsewhere(results: Results) -> list[str]:
 
 
 def _gains(results: Results) -> list[str]:
-    """Return what the paper's plans gain over uniform grids.
+    """Compare the paper's plans with uniform grids.
 
     These are ratios of errors, plan over grid, and the numbers of plans that gain.
     """

@@ -142,9 +142,9 @@ class Search:
 
         A matcher searches the stores that it can read. Returned are a row for each store, matcher,
         kind of queries, area searched and group of queries, and the stores, which are kept in
-        ``folder``; a store that is there is not built again. Position errors are those of the best
-        candidate, whether or not it is an answer; a query without any candidate counts as wrong by
-        half of the area's diagonal. Heading errors are of right answers only.
+        ``folder``; a store that is there is not built again. The best candidate's error of
+        position counts, whether or not it is an answer. A query without any candidate counts as
+        wrong by half of the area's diagonal. Heading errors are of right answers only.
         """
         bounds_deg = self.area_deg()
         stores = [spec.build(terrain, folder, bounds_deg, progress) for spec in self.stores]

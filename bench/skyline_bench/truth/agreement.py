@@ -150,7 +150,7 @@ def _steepness(views: Views) -> Float64Array:
 
 
 def float32_bound_px(scene: SkylineScene, views: Views, truth: Views) -> Float64Array:
-    """Return what 32-bit arithmetic may cost in columns (N, W), px.
+    """Return a bound (N, W) on the error of 32-bit arithmetic, px.
 
     A crossing's ordinate is v = y / z with y = (1 - f) h0 + f h1 - drop, heights from the eye,
     f the fraction along the edge crossed, z the depth. With e = 2^-24, D the greatest height

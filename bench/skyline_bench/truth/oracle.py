@@ -105,7 +105,7 @@ def _seen(
     look: Callable[["_Scene", Float64Array], tuple[NDArray[Any], ...]],
     kinds: Sequence[type[np.generic]],
 ) -> list[NDArray[Any]]:
-    """Return what each eye sees in its four headings.
+    """Return the four views of each eye.
 
     The arrays are (4 N, W) each.
     """
