@@ -118,7 +118,9 @@ def run_app(app: typer.Typer, terminal: Terminal | None = None) -> None:
     # Heights in HDF5 and NetCDF are only read, also in folders without file locks.
     os.environ.setdefault("HDF5_USE_FILE_LOCKING", "FALSE")
     try:
-        code = _without_types(typer.main.get_command(app))(standalone_mode=False, obj=terminal)
+        with terminal.interruptible():
+            command = _without_types(typer.main.get_command(app))
+            code = command(standalone_mode=False, obj=terminal)
         if code == _INTERRUPTED:
             raise KeyboardInterrupt
         sys.exit(code)

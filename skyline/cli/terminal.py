@@ -4,6 +4,7 @@ An error is one line; progress is a bar.
 """
 
 import json
+import signal
 import sys
 import threading
 import time
@@ -50,6 +51,7 @@ class Terminal:
         self._slow_s = slow_s
         self._advice = ""
         self._is_kept: Callable[[], bool] = lambda: False
+        self._is_interrupted = False
 
     @classmethod
     def of(cls, context: typer.Context, as_json: bool = False) -> "Terminal":
@@ -108,6 +110,28 @@ class Terminal:
         self._advice = advice
         self._is_kept = is_kept
 
+    @contextmanager
+    def interruptible(self) -> Iterator[None]:
+        """End the block at Ctrl-C, if not at once, then at the next step of progress.
+
+        Python drops an interrupt that arrives while it clears away a dead weak reference.
+        """
+
+        def interrupt(*_: object) -> None:
+            self._is_interrupted = True
+            raise KeyboardInterrupt
+
+        # A shell lets the jobs in its background ignore Ctrl-C.
+        listens = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+        if not listens or threading.current_thread() is not threading.main_thread():
+            yield
+            return
+        signal.signal(signal.SIGINT, interrupt)
+        try:
+            yield
+        finally:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+
     def stopped(self) -> str:
         """Return the error after Ctrl-C."""
         return f"stopped; {self._advice}" if self._is_kept() else "stopped"
@@ -120,6 +144,18 @@ class Terminal:
         Without a terminal, a line names a step that takes long, and one a minute says how far it
         is, and how long the rest takes at the rate since its first step.
         """
+        with self._shown(doing) as show:
+
+            def step(done: int, total: int) -> None:
+                if self._is_interrupted:
+                    raise KeyboardInterrupt
+                show(done, total)
+
+            yield step
+
+    @contextmanager
+    def _shown(self, doing: str) -> "Iterator[Progress]":
+        """Yield a function that shows progress as a bar, or as notes without a terminal."""
         if self.is_quiet or not sys.stderr.isatty():
             with self.slow(doing.partition(",")[0]):
                 yield self._notes_on(doing)

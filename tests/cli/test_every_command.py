@@ -2,8 +2,10 @@
 
 import os
 import shutil
+import signal
 import subprocess
 import sys
+import weakref
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
@@ -12,6 +14,7 @@ import pytest
 from commands import csv_of, full_name, lonlat_of, trace_of
 
 from skyline import Matcher, cli
+from skyline.cli.terminal import Terminal
 from skyline.fetch.dem_tiles import FetchResult
 from skyline.store.read import open_store
 
@@ -218,3 +221,20 @@ def test_a_match_that_is_stopped_keeps_what_it_has_written(
     again = match(tmp_path / "r.csv")
     assert again.code == 0
     assert "trace.csv" not in again.out
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+def test_an_interrupt_that_python_drops_ends_the_next_step_of_progress():
+    """Python drops one that arrives while it clears away a dead weak reference."""
+
+    class Thing:
+        pass
+
+    terminal = Terminal()
+    thing = Thing()
+    _ = weakref.ref(thing, lambda _: signal.raise_signal(signal.SIGINT))
+    with terminal.interruptible(), terminal.progress("building") as step:
+        step(1, 3)
+        del thing
+        with pytest.raises(KeyboardInterrupt):
+            step(2, 3)
