@@ -51,8 +51,9 @@ class GpuLimits:
     """Cells along a side of the largest field that is one window: its textures take some 1.1 GB."""
     window_cells: int = 2048
     """Cells along a side of the windows of larger fields."""
-    resident_samples: int = 1 << 25
-    """Number of samples whose windows stay on the GPU, at some 43 bytes a sample."""
+    resident_samples: int = 1 << 27
+    """Number of samples whose windows stay on the GPU, at some 43 bytes a sample: more than are
+    seen from one place, 250 km all round, in a model of 90 m."""
     result_bytes: int = 1 << 26
     """Bytes of the results of the views that are rendered together."""
 

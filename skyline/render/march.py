@@ -335,14 +335,25 @@ class ColumnRenderer(Renderer):
         return bool((bound > least).any())
 
     def _load(self, window: Window) -> WindowTextures:
-        """Return a window's textures, which stay while there is room for them."""
-        if window not in self._resident:
-            held = sum(one.samples for one in self._resident)
-            if held + window.samples > self._limits.resident_samples:
-                self._resident.clear()
-                self._ctx.gc()
-            self._resident[window] = WindowTextures.shared(self._context, self.field, window)
-        return self._resident[window]
+        """Return a window's textures.
+
+        They stay on the GPU until others, used since, need their room.
+        """
+        textures = self._resident.pop(window, None)
+        if textures is None:
+            self._make_room(window.samples)
+            textures = WindowTextures.shared(self._context, self.field, window)
+        self._resident[window] = textures  # The last used one is the last.
+        return textures
+
+    def _make_room(self, samples: int) -> None:
+        """Let the windows go whose last use is longest ago, until ``samples`` more have room."""
+        held = sum(one.samples for one in self._resident)
+        while self._resident and held + samples > self._limits.resident_samples:
+            oldest = next(iter(self._resident))
+            held -= oldest.samples
+            del self._resident[oldest]
+        self._ctx.gc()
 
     def _march(
         self, window: WindowTextures, eyes: NDArray[np.void], group: EyeGroup, is_first: bool
