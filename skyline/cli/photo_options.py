@@ -33,7 +33,7 @@ PhotoProjection = Annotated[
     Projection | None,
     _known(
         "--projection",
-        help="Projection of a panorama, usually cylindrical.",
+        help="Projection of a panorama, usually cylindrical, or fisheye.",
         show_default="from the photo's XMP, else perspective",
     ),
 ]
