@@ -18,9 +18,7 @@ CYLINDER = "cylinder"
 FISHEYES = ("equidistant", "equisolid", "stereographic")
 """Mappings of fisheyes."""
 _MIN_FORWARD = 0.05
-"""Rays that point further aside of the optical axis are not drawn, unless by a fisheye."""
-_BACKMOST_RAD = np.radians(170.0)
-"""Nor are rays that point right behind a fisheye."""
+"""Rays that point further aside of the optical axis are not drawn."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,9 +118,7 @@ class Camera:
         scale = self.focal_px / np.where(ahead, forward, 1.0)
         if self.mapping != PIN_HOLE:
             aside = np.hypot(right, above)
-            off_axis = np.arctan2(aside, forward)
-            ahead = off_axis < _BACKMOST_RAD
-            scale = self.focal_px * self._radius(off_axis) / np.fmax(aside, 1e-9)
+            scale = self.focal_px * self._radius(np.arctan2(aside, forward)) / np.fmax(aside, 1e-9)
         column = (right * np.cos(roll) - above * np.sin(roll)) * scale + (self.width_px - 1) / 2.0
         row = (self.height_px - 1) / 2.0 - (right * np.sin(roll) + above * np.cos(roll)) * scale
         return column, row, ahead
