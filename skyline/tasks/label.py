@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from skyline.arrays import UInt8Array
@@ -114,13 +114,6 @@ def _pose_of(
     return held.likely, held.confidence if held.refusal else None
 
 
-def _marked(peak: SeenPeak, confidence: float | None) -> SeenPeak:
-    """Return a summit with how likely its name is right, where that is not sure."""
-    if confidence is None:
-        return peak
-    return replace(peak, name=f"{peak.name} ({100.0 * confidence:.0f} %)")
-
-
 def shown_pose(noted: NotedPose, viewer: Viewer, listener: Listener) -> Pose:
     """Return a noted pose on a viewer's terrain.
 
@@ -154,7 +147,8 @@ def _write(
         write_whole(task.output, json.dumps(records, indent=1) + "\n")
         return ""
     sight = viewer.look(pose, photo) if task.ridges else None
-    marked = [_marked(one, confidence) for one in seen]
-    picture, unnamed = draw_labels(photo, rgb, marked, sight, kind)
+    if confidence is not None:
+        seen = [one.doubted(confidence) for one in seen]
+    picture, unnamed = draw_labels(photo, rgb, seen, sight, kind)
     write_whole(task.output, picture)
     return unnamed.named
