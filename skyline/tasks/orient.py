@@ -55,7 +55,9 @@ def orient_photos(
                 skyline = entry.read()
                 orienter = orienter_at(at.place_of(skyline, entry.path))
                 found: Orientation | SkylineError = orienter.orient(
-                    skyline, name=entry.path, heading_deg=at.heading_deg
+                    skyline,
+                    name=entry.path,
+                    heading_deg=entry.narrowing.heading_deg or at.heading_deg,
                 )
             except SkylineError as error:
                 found = error
