@@ -27,5 +27,7 @@ def test_a_row_without_a_projection_has_the_command_s(tmp_path):
 
 
 def test_a_projection_that_is_none_is_refused_with_its_row(tmp_path):
-    with pytest.raises(InputError, match="photos.csv.*projection is 'round'; expected perspective"):
+    with pytest.raises(
+        InputError, match=r"photos.csv.*projection is 'round'; expected perspective"
+    ):
         entries(tmp_path, "round")
