@@ -103,7 +103,7 @@ def entries_of(paths: Iterable[Path], common: Entry) -> Iterator[Entry]:
         if table is None or "path" not in table.header:
             yield replace(common, path=str(path))
             continue
-        table.refuse_other("path", *_NUMBERS, "id", "name")
+        table.refuse_other("path", *_NUMBERS, "projection", "id", "name")
         if not table.rows:
             raise InputError(f"{path} is a list without photos; add a row for each")
         for row in table.rows:
@@ -145,6 +145,7 @@ def _entry(table: Table, row: Row, common: Entry) -> Entry:
     if "eye_height_m" in given:
         known["eye_height_m"] = given["eye_height_m"]
     try:
+        projection = Projection(row["projection"]) if row["projection"] else common.projection
         narrowing = replace(common.narrowing, **known)
     except InputError as error:
         raise InputError(f"{row.where}: {error}") from error
@@ -153,6 +154,7 @@ def _entry(table: Table, row: Row, common: Entry) -> Entry:
         path=str(Path(table.path).parent / row["path"]),
         fov_deg=given.get("fov_deg", common.fov_deg),
         fov_sd_share=given.get("fov_sd_share", common.fov_sd_share),
+        projection=projection,
         narrowing=narrowing,
         label=row.label,
     )

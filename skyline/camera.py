@@ -23,6 +23,8 @@ from skyline.errors import InputError
 
 MIN_FOV_DEG = 1.0
 MAX_FOV_DEG = 179.0
+MAX_FISHEYE_DEG = 180.0
+"""Across a fisheye's picture; its corners look farther aside, and behind the camera."""
 MAX_PANORAMA_DEG = 360.0
 MOST_DISTORTION = 0.3
 """Greatest distortion of a lens, see `undistorted`; a lens with more is a fisheye."""
@@ -30,19 +32,18 @@ WANDER_DEGREES = range(2, 6)
 """Degrees of the Legendre polynomials by which the rows of a panorama wander."""
 _NEWTON_STEPS = 30
 _NEWTON_ERROR = 1e-9
+_NO_ANGLE = 1e-12
 _LEAST_FORWARD = np.float32(0.05)
 """`ImagePoints.levelled` moves rays of a lens that look less far ahead to this much."""
-_FISHEYE_TERM = -1 / 24
-"""Mean of t in a fisheye's mapping, x + t x^3, from the radius x in the image to the angle off the
-axis. An equisolid lens has 1/24, an equidistant one 0, a stereographic one -1/12."""
-_FARTHEST_FISHEYE_RAD = np.radians(85.0)
-"""Largest angle off the axis of `fisheye_rays`; pixels that look farther aside are drawn in."""
+_BACKMOST_RAD = np.radians(170.0)
+"""Largest angle off a fisheye's axis that `project` follows: no lens shows what is behind it, and a
+line that passes there would cross the whole picture."""
 
 
 class Projection(StrEnum):
     """Projections of a photo.
 
-    Each is described by the two quantities that grow evenly across and up the photo.
+    Each is described by the quantities that grow evenly across and up the photo, or outwards.
 
     Attributes
     ----------
@@ -52,11 +53,14 @@ class Projection(StrEnum):
         Azimuth across, tangent of elevation upwards: swept and most stitched panoramas.
     EQUIRECTANGULAR
         Azimuth across, elevation upwards: photo spheres.
+    FISHEYE
+        Angle off the optical axis, outwards from the middle: an equidistant fisheye.
     """
 
     PERSPECTIVE = "perspective"
     CYLINDRICAL = "cylindrical"
     EQUIRECTANGULAR = "equirectangular"
+    FISHEYE = "fisheye"
 
     @classmethod
     def _missing_(cls, value: object) -> "Projection":
@@ -65,26 +69,43 @@ class Projection(StrEnum):
     @property
     def is_panorama(self) -> bool:
         """True if the photo was swept or stitched from several exposures."""
+        return self in (Projection.CYLINDRICAL, Projection.EQUIRECTANGULAR)
+
+    @property
+    def spreads_angles(self) -> bool:
+        """True if angles, rather than their tangents, grow evenly across the photo."""
         return self is not Projection.PERSPECTIVE
+
+    @property
+    def most_fov_deg(self) -> float:
+        """The largest horizontal field of view."""
+        if self.is_panorama:
+            return MAX_PANORAMA_DEG
+        return MAX_FISHEYE_DEG if self is Projection.FISHEYE else MAX_FOV_DEG
 
     def check_fov_deg(self, fov_deg: float) -> float:
         """Return a horizontal field of view.
 
         Raises `InputError` if it is impossible.
         """
-        greatest = MAX_PANORAMA_DEG if self.is_panorama else MAX_FOV_DEG
-        if not MIN_FOV_DEG <= fov_deg <= greatest:
-            hint = (
-                "a full turn is the most"
-                if self.is_panorama
-                else "a phone's main camera has about 65; a panorama needs its projection, too, "
-                "usually cylindrical"
-            )
+        if not MIN_FOV_DEG <= fov_deg <= self.most_fov_deg:
             raise InputError(
                 f"horizontal field of view is {fov_deg:g} degrees; expected {MIN_FOV_DEG:g} to "
-                f"{greatest:g}: {hint}"
+                f"{self.most_fov_deg:g}: {self._fov_hint}"
             )
         return float(fov_deg)
+
+    @property
+    def _fov_hint(self) -> str:
+        """What fields of view there are."""
+        if self.is_panorama:
+            return "a full turn is the most"
+        if self is Projection.FISHEYE:
+            return "it is the angle across the picture's width; crop a wider fisheye to half a turn"
+        return (
+            "a phone's main camera has about 65; a panorama needs its projection, too, usually "
+            "cylindrical, and so does a fisheye"
+        )
 
     def rays(
         self, across: Float64Array, above: Float64Array, fov_deg: float
@@ -93,7 +114,9 @@ class Projection(StrEnum):
 
         They are on an image of unit focal length. Through a lens u and v are right and up over
         forward: the ray is (u, v, 1). A panorama's image is a cylinder: u is the azimuth from its
-        middle, radians, v the tangent of the elevation, and the ray is (sin u, v, cos u).
+        middle, radians, v the tangent of the elevation, and the ray is (sin u, v, cos u). A
+        fisheye's u and v are right and up at the distance a from the middle, where a is the angle
+        off the axis, radians: the ray is (u sin a / a, v sin a / a, cos a).
 
         Parameters
         ----------
@@ -105,7 +128,7 @@ class Projection(StrEnum):
         half = np.radians(fov_deg) / 2.0
         if self is Projection.PERSPECTIVE:
             return across * np.tan(half), above * np.tan(half)
-        up = above * half if self is Projection.CYLINDRICAL else np.tan(above * half)
+        up = np.tan(above * half) if self is Projection.EQUIRECTANGULAR else above * half
         return across * half, up
 
     def places(
@@ -115,24 +138,24 @@ class Projection(StrEnum):
         half = np.radians(fov_deg) / 2.0
         if self is Projection.PERSPECTIVE:
             return u / np.tan(half), v / np.tan(half)
-        above = v if self is Projection.CYLINDRICAL else np.arctan(v)
+        above = np.arctan(v) if self is Projection.EQUIRECTANGULAR else v
         return u / half, above / half
 
     def half_width(self, fov_deg: Any) -> Any:
         """Return half the width of an image of unit focal length."""
         half_rad = np.radians(fov_deg) / 2.0
-        return half_rad if self.is_panorama else np.tan(half_rad)
+        return half_rad if self.spreads_angles else np.tan(half_rad)
 
     def fov_deg(self, half_width: Any) -> Any:
         """Return the field of view of a half width; inverse of `half_width`."""
-        half_rad = half_width if self.is_panorama else np.arctan(half_width)
+        half_rad = half_width if self.spreads_angles else np.arctan(half_width)
         return np.degrees(2.0 * half_rad)
 
     def column_deg(self, width: int, fov_deg: float) -> Float64Array:
         """Return the degrees of azimuth that each of ``width`` columns spans, (width,)."""
         edges = np.linspace(-1.0, 1.0, width + 1)
         u, _ = self.rays(edges, np.zeros_like(edges), fov_deg)
-        azimuth = u if self.is_panorama else np.arctan(u)
+        azimuth = u if self.spreads_angles else np.arctan(u)
         return np.asarray(np.degrees(np.diff(azimuth)), dtype=np.float64)
 
 
@@ -164,19 +187,35 @@ def wandered(across: Float64Array, wander: Sequence[float]) -> Float64Array:
 
 
 def undistorted(
-    across: Float64Array, above: Float64Array, distortion: float
+    across: Float64Array,
+    above: Float64Array,
+    distortion: float,
+    projection: Projection = Projection.PERSPECTIVE,
 ) -> tuple[Float64Array, Float64Array]:
     """Return where a lens without distortion would show the same.
 
     The distortion k multiplies the distance r from the middle, in halves of the width, by
-    1 + k r^2; it is positive for barrel distortion.
+    1 + k r^2; it is positive for barrel distortion. A fisheye's distortion is how it differs from
+    an equidistant one of the same field of view: it multiplies r by 1 + k (r^2 - 1).
     """
-    stretch = 1.0 + distortion * (across**2 + above**2)
+    stretch = 1.0 + distortion * (across**2 + above**2 - _fixed_at(projection))
     return across * stretch, above * stretch
 
 
+def _fixed_at(projection: Projection) -> float:
+    """Return the squared distance from the middle that a distortion leaves as it is.
+
+    Halves of the width: the field of view of a lens is the one in its middle, and the field of view
+    of a fisheye is the angle between its sides.
+    """
+    return float(projection is Projection.FISHEYE)
+
+
 def distorted(
-    across: Float64Array, above: Float64Array, distortion: float
+    across: Float64Array,
+    above: Float64Array,
+    distortion: float,
+    projection: Projection = Projection.PERSPECTIVE,
 ) -> tuple[Float64Array, Float64Array]:
     """Return the inverse of `undistorted`.
 
@@ -184,6 +223,9 @@ def distorted(
     """
     if distortion == 0.0:
         return across, above
+    # A fisheye's is that of a lens at another scale: r (1 - k) (1 + k / (1 - k) r^2).
+    middle = 1.0 - distortion * _fixed_at(projection)
+    across, above, distortion = across / middle, above / middle, distortion / middle
     aim = np.hypot(across, above)
     # Beyond this radius a negative distortion would show things twice.
     farthest = np.inf if distortion > 0.0 else 1.0 / np.sqrt(-3.0 * distortion)
@@ -224,16 +266,38 @@ def level_axes(
     upright axis, so its pitch raises the rows equally all the way round: tangents of a cylindrical
     photo, elevations of an equirectangular one.
     """
-    if projection.is_panorama:
-        above, side = _raised(v, np.tan(pitch), projection)
-        across, above = side * np.sin(u), side * above
-    else:
-        across, above = u, v
+    if not projection.is_panorama:
+        return _held(*_ray(u, v, projection), pitch, roll)
+    above, side = _raised(v, np.tan(pitch), projection)
+    return _held(side * np.sin(u), side * above, side * np.cos(u), 0.0, roll)
+
+
+def _held(across: Any, above: Any, ahead: Any, pitch: Any, roll: Any) -> tuple[Any, Any, Any]:
+    """Return right, up and forward of a ray of a pitched and rolled camera; linear in the ray."""
     right = across * np.cos(roll) + above * np.sin(roll)
     up = above * np.cos(roll) - across * np.sin(roll)
-    if projection.is_panorama:
-        return right, up, side * np.cos(u)
-    return right, up * np.cos(pitch) + np.sin(pitch), np.cos(pitch) - up * np.sin(pitch)
+    return (
+        right,
+        up * np.cos(pitch) + ahead * np.sin(pitch),
+        ahead * np.cos(pitch) - up * np.sin(pitch),
+    )
+
+
+def _ray(u: Any, v: Any, projection: Projection) -> tuple[Any, Any, Any]:
+    """Return the ray of a lens or a fisheye: right, up and forward of the camera."""
+    if projection is Projection.PERSPECTIVE:
+        return u, v, 1.0
+    off_axis = np.hypot(u, v)
+    share = np.sinc(off_axis / np.pi)
+    return u * share, v * share, np.cos(off_axis)
+
+
+def _ray_by_log_scale(u: Any, v: Any, projection: Projection) -> tuple[Any, Any, Any]:
+    """Return the derivative of `_ray` by the logarithm of the image's scale."""
+    if projection is Projection.PERSPECTIVE:
+        return u, v, 0.0
+    off_axis = np.hypot(u, v)
+    return u * np.cos(off_axis), v * np.cos(off_axis), -off_axis * np.sin(off_axis)
 
 
 def _raised(v: Any, tangent: Any, projection: Projection) -> tuple[Any, Any]:
@@ -257,7 +321,8 @@ def project(
 ) -> tuple[Float64Array, Float64Array]:
     """Return u and v of directions; the inverse of `level`.
 
-    NaN for directions that are not in front of a lens, or that a pitch moves past the zenith.
+    NaN for directions that are not in front of a lens, that are right behind a fisheye, or that a
+    pitch moves past the zenith.
     """
     pitch, roll = np.radians(pitch_deg), np.radians(roll_deg)
     right, ahead = np.sin(azimuth_rad), np.cos(azimuth_rad)
@@ -267,28 +332,38 @@ def project(
         v, side = _raised(above, -np.tan(pitch), projection)
         return np.arctan2(across, ahead), np.where(side > 0.0, v, np.nan)
     forward = ahead * np.cos(pitch) + y * np.sin(pitch)
-    forward = np.where(forward > 0.0, forward, np.nan)
     up = y * np.cos(pitch) - ahead * np.sin(pitch)
-    return (
-        (right * np.cos(roll) - up * np.sin(roll)) / forward,
-        (right * np.sin(roll) + up * np.cos(roll)) / forward,
-    )
+    across = right * np.cos(roll) - up * np.sin(roll)
+    above = right * np.sin(roll) + up * np.cos(roll)
+    if projection is Projection.FISHEYE:
+        aside = np.hypot(across, above)
+        off_axis = np.arctan2(aside, forward)
+        stretch = np.where(off_axis < _BACKMOST_RAD, off_axis, np.nan) / np.fmax(aside, _NO_ANGLE)
+        return across * stretch, above * stretch
+    forward = np.where(forward > 0.0, forward, np.nan)
+    return across / forward, above / forward
 
 
 def _axes_with_changes(
-    u: Float64Array, v: Float64Array, pitch: Float64Array, roll: Float64Array
+    u: Float64Array,
+    v: Float64Array,
+    pitch: Float64Array,
+    roll: Float64Array,
+    projection: Projection,
 ) -> tuple[tuple[Any, Any, Any], list[Float64Array]]:
-    """Return `level_axes` of a lens, and its derivatives.
+    """Return `level_axes` of a lens or a fisheye, and its derivatives.
 
     They are (M, R, 3): by pitch, roll and log scale.
     """
-    right, up, forward = axes = level_axes(u, v, pitch, roll)
+    right, up, forward = axes = level_axes(u, v, pitch, roll, projection)
     cos_pitch, sin_pitch = np.cos(pitch), np.sin(pitch)
-    above = v * np.cos(roll) - u * np.sin(roll)
+    across, along, _ = _ray(u, v, projection)
+    above = along * np.cos(roll) - across * np.sin(roll)
+    scaled = _held(*_ray_by_log_scale(u, v, projection), pitch, roll)
     changes = [
-        [np.zeros_like(up), above, right],
-        [forward, -right * cos_pitch, above * cos_pitch],
-        [-up, right * sin_pitch, -above * sin_pitch],
+        [np.zeros_like(up), above, scaled[0]],
+        [forward, -right * cos_pitch, scaled[1]],
+        [-up, right * sin_pitch, scaled[2]],
     ]
     return axes, [np.stack(change, axis=-1) for change in changes]
 
@@ -331,7 +406,7 @@ def _panorama_with_changes(
 
 
 def near_level_changes(
-    azimuth: Float32Array, elevation_tan: Float32Array, slope: Float32Array, *, is_panorama: bool
+    azimuth: Float32Array, elevation_tan: Float32Array, slope: Float32Array, projection: Projection
 ) -> tuple[Float32Array, Float32Array, Float32Array]:
     """Return how fast a nearly level camera's rays rise above a curve.
 
@@ -351,31 +426,13 @@ def near_level_changes(
         Tangents by a radian of pitch and of roll, and by the logarithm of the image's scale.
     """
     sine, cosine = np.sin(azimuth), np.cos(azimuth)
-    if is_panorama:
+    if projection.is_panorama:
         return np.ones_like(elevation_tan), -sine, elevation_tan - slope * azimuth
+    if projection is Projection.FISHEYE:
+        by_log_scale = elevation_tan * cosine / np.sinc(azimuth / np.float32(np.pi))
+        return cosine, -sine, by_log_scale - slope * azimuth
     by_log_scale = elevation_tan * np.square(cosine) - slope * sine * cosine
     return cosine, -sine, by_log_scale
-
-
-def fisheye_off_axis_rad(radius: Any) -> Any:
-    """Return the angle off a fisheye's axis at a radius.
-
-    The radius is in a usual fisheye's image.
-    """
-    return radius + _FISHEYE_TERM * radius**3
-
-
-def fisheye_rays(
-    u: Float64Array, v: Float64Array, shrink: float
-) -> tuple[Float64Array, Float64Array]:
-    """Return rays u, v of places on a fisheye's image.
-
-    The image is made ``shrink`` as large.
-    """
-    radius = np.maximum(np.hypot(u, v), 1e-12)
-    off_axis = np.minimum(fisheye_off_axis_rad(shrink * radius), _FARTHEST_FISHEYE_RAD)
-    stretch = np.tan(off_axis) / radius
-    return u * stretch, v * stretch
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -402,8 +459,12 @@ class ImagePoints:
 
     @property
     def reach(self) -> Float64Array:
-        """Squared distance (R,) from the image's middle, in half widths."""
-        return np.asarray((self.u**2 + self.v**2) / self.half_width**2)
+        """How far (R,) a distortion of 1 would move points outwards, as a share.
+
+        It is the squared distance from the image's middle, in half widths; see `undistorted`.
+        """
+        square = (self.u**2 + self.v**2) / self.half_width**2
+        return np.asarray(square - _fixed_at(self.projection))
 
     @property
     def wander(self) -> Float64Array:
@@ -449,7 +510,7 @@ class ImagePoints:
         """
         u, v = self.scaled(np.exp(log_scale))
         right, up, forward = level_axes(u, v + lift, pitch, roll, self.projection)
-        if self.is_panorama:
+        if self.projection.spreads_angles:
             return np.arctan2(right, forward), up / np.hypot(right, forward)
         forward = np.maximum(forward, _LEAST_FORWARD)
         return np.arctan(right / forward), up / np.hypot(right, forward)
@@ -491,7 +552,9 @@ class ImagePoints:
             if warp.shape[1]:
                 stretch = 1.0 + warp * self.reach
                 share = (self.reach / stretch)[..., np.newaxis]
-            (right, up, forward), changes = _axes_with_changes(u * stretch, v * stretch, *attitude)
+            (right, up, forward), changes = _axes_with_changes(
+                u * stretch, v * stretch, *attitude, self.projection
+            )
             # Distortion moves rays outwards like the scale, but the more the farther out they are.
             changes = [np.concatenate([one, one[..., 2:] * share], axis=-1) for one in changes]
         right_change, up_change, forward_change = changes
@@ -550,7 +613,7 @@ class Camera:
         if self.wander:
             v = v - wandered(u / self.projection.half_width(self.fov_deg), self.wander)
         across, above = self.projection.places(u, v, self.fov_deg)
-        across, above = distorted(across, above, self.distortion)
+        across, above = distorted(across, above, self.distortion, self.projection)
         half_px = self.width_px / 2.0
         return (
             across * half_px + (self.width_px - 1.0) / 2.0,
@@ -565,7 +628,7 @@ class Camera:
         The inverse of `pixels`.
         """
         across, above = from_middle(column_px, row_px, self.width_px, self.height_px)
-        straight = undistorted(across, above, self.distortion)
+        straight = undistorted(across, above, self.distortion, self.projection)
         u, v = self.projection.rays(*straight, self.fov_deg)
         if self.wander:
             v = v + wandered(across, self.wander)

@@ -32,14 +32,16 @@ from skyline.match.other_projection import find_other_projection
 from skyline.match.prior import (
     EyeHeightPrior,
     KnownGround,
+    Narrowing,
     PlacePrior,
     Prior,
     Standing,
+    noted_heading_sd_deg,
     noted_position_sd_m,
 )
 from skyline.match.rays import Rays
 from skyline.match.refine import VIEW_WIDTH, Effort, Particles, Refinement
-from skyline.match.result import to_dataframe
+from skyline.match.result import NORTHS, to_dataframe
 from skyline.match.retrieval import Retriever
 from skyline.match.search import one_blas_thread
 from skyline.match.solver import TEMPERATURE
@@ -73,6 +75,8 @@ LEAST_CONFIDENCE = 0.85
 """Least confidence of a heading that is trusted. It was chosen on the Sierra, Rofental and Everest:
 none of 169 photos from other regions reaches it, and 2 % of the headings that reach it are wrong.
 At 0.8, 4 % are wrong."""
+LEAST_LIKELY = 0.5
+"""Least confidence of a heading that is not trusted, and that is more likely right than wrong."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,6 +129,9 @@ class _Doubts:
     """
     named_cost: float = 20.0
     """A heading whose cost is higher by less than this is named in a refusal."""
+    compass_sds: float = 0.5
+    """A compass that is off by more than so many of its standard deviations is named: 10 degrees
+    from true north, 15 from magnetic north."""
 
 
 _DOUBTS = _Doubts()
@@ -152,6 +159,8 @@ class Orientation:
         From the photo to the pose.
     refusal : str or None
         Why the pose cannot be trusted; None if it can.
+    lacks_confidence_only : bool
+        Whether nothing speaks against the pose but that its confidence is too small.
     name : str
         The photo's file; empty for a skyline.
     """
@@ -167,12 +176,42 @@ class Orientation:
     eye_height_m: float = math.nan
     seconds: float = 0.0
     refusal: str | None = None
+    lacks_confidence_only: bool = False
     name: str = ""
 
     @property
     def answer(self) -> Pose | None:
         """The pose, if it can be trusted."""
         return None if self.refusal else self.pose
+
+    @property
+    def likely(self) -> Pose | None:
+        """The pose, if it can be trusted or is at least more likely right than wrong."""
+        is_likely = self.lacks_confidence_only and self.confidence >= LEAST_LIKELY
+        return self.pose if is_likely else self.answer
+
+    @property
+    def heading_off_deg(self) -> float | None:
+        """How far the pose's heading is clockwise of the one that the photo notes, degrees.
+
+        None without a pose, or if the photo notes no heading.
+        """
+        if self.pose is None or self.skyline.noted.heading_deg is None:
+            return None
+        return float(in_turn(self.pose.heading_deg - self.skyline.noted.heading_deg))
+
+    @property
+    def _compass_in_words(self) -> str | None:
+        """What the compass says, where it is off by more than is usual."""
+        noted = self.skyline.noted
+        off_deg = self.heading_off_deg
+        usual_deg = _DOUBTS.compass_sds * noted_heading_sd_deg(noted)
+        if off_deg is None or abs(off_deg) <= usual_deg:
+            return None
+        return (
+            f"EXIF's compass says {noted.heading_deg:.0f} degrees{NORTHS[noted.is_magnetic]}, "
+            f"{abs(off_deg):.0f} degrees off"
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Return the orientation as ``skyline orient --json`` prints it."""
@@ -196,6 +235,7 @@ class Orientation:
             "moved_m": None if self.pose is None else self.moved_m,
             "eye_height_m": None if self.pose is None else self.eye_height_m,
             "confidence": self.confidence,
+            "heading_off_deg": self.heading_off_deg,
             "seconds": self.seconds,
             "refusal": self.refusal and printable(self.refusal),
         }
@@ -218,6 +258,7 @@ class Orientation:
                 f"{RIGHT_DEG:g} degree; the eye is {self.moved_m:.0f} m from the place given, and "
                 f"{self.eye_height_m:.0f} m above the ground"
             )
+            lines.append(self._compass_in_words or "")
         if self.skyline.lens is not None:
             lines.append(self.skyline.lens.in_words)
         return "\n  ".join(filter(None, lines))
@@ -321,7 +362,11 @@ class Orienter(Releasable):
 
     @one_blas_thread()
     def orient(
-        self, photo: Picture | PhotoSkyline, fov_deg: float | None = None, name: str = ""
+        self,
+        photo: Picture | PhotoSkyline,
+        fov_deg: float | None = None,
+        name: str = "",
+        heading_deg: tuple[float, float] | None = None,
     ) -> Orientation:
         """Find how the camera of a photo was held.
 
@@ -336,12 +381,17 @@ class Orienter(Releasable):
             that is not known.
         name : str
             Name of the result; by default the photo's file.
+        heading_deg : (float, float), optional
+            Heading of the optical axis from true north, and its greatest error, degrees. No other
+            heading is found.
 
         Raises
         ------
         InputError
-            The photo has no usable skyline, or is a panorama of unknown field of view.
+            The photo has no usable skyline, or is a panorama or a fisheye of unknown field of view,
+            or the greatest error is not above 0, at most 180.
         """
+        narrowing = Narrowing(heading_deg=heading_deg)
         started = time.perf_counter()
         file, skyline = named_skyline(photo, fov_deg)
         name = name or file
@@ -349,33 +399,40 @@ class Orienter(Releasable):
         if refusal is not None:
             return Orientation(skyline, None, refusal=refusal, name=name)
         rays = Rays.of(skyline, MatchConfig().fov_sd_share, finds_fov=True)
-        poses = self._refined(rays, skyline)
-        found = self._orientation(skyline, rays, poses)
+        poses = self._refined(rays, skyline, narrowing)
+        found = self._orientation(skyline, rays, poses, narrowing)
         return replace(found, seconds=time.perf_counter() - started, name=name)
 
-    def _refined(self, rays: Rays, skyline: PhotoSkyline) -> Poses:
-        """Return the best pose of each heading in each standing, best first."""
+    def _refined(self, rays: Rays, skyline: PhotoSkyline, narrowing: Narrowing) -> Poses:
+        """Return the best pose of each heading in each standing, best first.
+
+        The headings are those that the narrowing allows.
+        """
         found = list[Poses]()
         for number, standing in enumerate(self._standings(skyline.noted)):
             retriever = self._retriever
             if number > 0:
                 retriever = self._retriever_at(standing.elevation_m)
+            prior = self._prior(skyline.noted, standing, narrowing)
             fitted = retriever.fitted_all_round(rays)
+            fitted = fitted[prior.allows(fitted)]
             each = fitted.suppress_non_maxima(_SEARCH.headings, np.inf, _SEARCH.turn_deg)
             best = fitted.suppress_non_maxima(
                 _SEARCH.places, _SEARCH.separation_m, _SEARCH.turn_deg
             )
-            refinement = self._refinement(rays, skyline.noted, standing)
+            refinement = self._refinement(rays, prior, standing)
             poses = refinement.run(fitted[np.union1d(each, best)])
-            found.append(replace(poses, cost=poses.cost + TEMPERATURE * standing.cost))
+            poses = replace(poses, cost=poses.cost + TEMPERATURE * standing.cost)
+            found.append(poses[prior.allows(poses)])
         poses = Poses.concatenate(found)
         return poses[np.argsort(poses.cost, kind="stable")]
 
-    def _refinement(
-        self, rays: Rays, noted: NotedPlace, standing: Standing
-    ) -> "_RefinementByHeading":
+    def _prior(self, noted: NotedPlace, standing: Standing, narrowing: Narrowing) -> Prior:
+        """Return what is known of a photo's pose."""
+        return Prior(narrowing, self.frame, noted=self._known(noted, standing))
+
+    def _refinement(self, rays: Rays, prior: Prior, standing: Standing) -> "_RefinementByHeading":
         """Return the refinement of a photo's rays, with its prior."""
-        prior = Prior(noted=self._known(noted, standing))
         return _RefinementByHeading(rays, self._scene, _EFFORT, prior, standing.eye)
 
     def _known(self, noted: NotedPlace, standing: Standing) -> PlacePrior:
@@ -396,10 +453,16 @@ class Orienter(Releasable):
             heading_sd_deg=from_exif.heading_sd_deg,
         )
 
-    def _orientation(self, skyline: PhotoSkyline, rays: Rays, poses: Poses) -> Orientation:
+    def _orientation(
+        self, skyline: PhotoSkyline, rays: Rays, poses: Poses, narrowing: Narrowing
+    ) -> Orientation:
         """Return the best of poses as an orientation, refused if doubtful."""
         if not len(poses):
-            return Orientation(skyline, None, refusal="no heading fits at this place")
+            within = ""
+            if narrowing.heading_deg is not None:
+                heading_deg, slack_deg = narrowing.heading_deg
+                within = f" within {slack_deg:g} degrees of {heading_deg:g}"
+            return Orientation(skyline, None, refusal=f"no heading{within} fits at this place")
         other_eye = self._other_eye(poses)
         poses = poses[poses.suppress_non_maxima(len(poses), np.inf, _SEARCH.apart_deg)]
         moved_m = self._moved_m(poses)
@@ -408,20 +471,16 @@ class Orienter(Releasable):
         pose = replace(poses[:1].on_map(self.frame)[0], rank=None)
         above_m = float(self._eye_heights_m(poses[:1])[0])
         standing = Standing(EyeHeightPrior(above_m, self._scene.height_sd_m))
+        prior = self._prior(skyline.noted, standing, narrowing)
         other = find_other_projection(
-            rays,
-            Poses.of(pose),
-            sure,
-            lambda bent: self._refinement(bent, skyline.noted, standing),
+            rays, Poses.of(pose), sure, lambda bent: self._refinement(bent, prior, standing)
         )
-        refusal = refusal_of(
-            pose,
-            skyline,
-            rays,
-            doubts=(self._doubt(poses, pose, sure), self._far(moved_m[0])),
-            ambiguity=other_eye,
-            other=other,
-        )
+
+        def refused(*doubts: str | None) -> str | None:
+            return refusal_of(pose, skyline, rays, doubts=doubts, ambiguity=other_eye, other=other)
+
+        doubt = self._doubt(poses, pose, sure)
+        far = self._far(moved_m[0])
         names = ("heading_sd_deg", "pitch_sd_deg", "roll_sd_deg", "fov_sd_deg")
         errors_deg = dict(zip(names, poses.figures().angle_sd_deg[0].tolist(), strict=True))
         return Orientation(
@@ -431,7 +490,8 @@ class Orienter(Releasable):
             confidence=sure,
             moved_m=float(moved_m[0]),
             eye_height_m=above_m,
-            refusal=refusal,
+            refusal=refused(doubt, far),
+            lacks_confidence_only=doubt is not None and refused(far) is None,
         )
 
     def _other_eye(self, poses: Poses) -> str | None:
@@ -530,7 +590,7 @@ class _RefinementByHeading(Refinement):
         return particles[standing.suppress_non_maxima(count, np.inf, _SEARCH.apart_deg)]
 
 
-def orient(
+def orient(  # noqa: PLR0913  (independent knowledge)
     photo: Picture | PhotoSkyline,
     dem: Dem,
     *,
@@ -539,11 +599,12 @@ def orient(
     elevation_m: float | None = None,
     position_sd_m: float | None = None,
     fov_deg: float | None = None,
+    heading_deg: tuple[float, float] | None = None,
 ) -> Orientation:
     """Find how a photo's camera was held at a known place.
 
-    See `Orienter`. Without ``lon`` and ``lat`` the photo's own GPS position is the place, with the
-    standard deviation that the photo notes.
+    See `Orienter` and `Orienter.orient`. Without ``lon`` and ``lat`` the photo's own GPS position
+    is the place, with the standard deviation that the photo notes.
 
     Raises
     ------
@@ -564,7 +625,7 @@ def orient(
     with Orienter(
         dem, lon=lon, lat=lat, elevation_m=elevation_m, position_sd_m=position_sd_m
     ) as orienter:
-        return orienter.orient(skyline, name=name)
+        return orienter.orient(skyline, name=name, heading_deg=heading_deg)
 
 
 def noted_place(skyline: PhotoSkyline, name: str) -> Place:

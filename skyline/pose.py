@@ -73,8 +73,8 @@ class Pose:
         Horizontal field of view.
     distortion : float
         Radial distortion k of the lens: a point at r half widths of the photo from its middle would
-        appear at ``(1 + k * r**2) * r`` without it. 0 for a panorama, and where the pose was
-        not refined.
+        appear at ``(1 + k * r**2) * r`` without it, and on an equidistant fisheye's photo at
+        ``(1 + k * (r**2 - 1)) * r``. 0 for a panorama, and where the pose was not refined.
     wander : tuple of float
         How the rows of a panorama wander, as tangents of the elevation, for each of the ways of
         `skyline.camera.wander_of`; empty for a lens, and where it is not known.

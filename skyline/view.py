@@ -98,6 +98,10 @@ class SeenPeak(Sighting):
     column_px: float
     row_px: float
 
+    def doubted(self, confidence: float) -> "SeenPeak":
+        """Return the peak with the probability that its name is right behind the name."""
+        return replace(self, name=f"{self.name} ({100.0 * confidence:.0f} %)")
+
 
 def sight_of(pose: Pose, photo: PhotoSkyline, views: Views) -> Sight:
     """Return the skyline of rendered views in the photo's picture.

@@ -19,6 +19,7 @@ from skyline.errors import SkylineError
 from skyline.geodesy.bounds import in_turn
 from skyline.match import confidence
 from skyline.match.confidence import ORIENTED, Logistic
+from skyline.match.prior import Narrowing
 from skyline.orientation import LEAST_CONFIDENCE, RIGHT_DEG, orienters
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.measuring import Row
@@ -114,7 +115,7 @@ def _figures_of(orienter: Orienter, query: SyntheticQuery) -> tuple[dict[str, fl
     if not query.skyline.trusted.any():
         return None
     rays = query.rays()
-    poses = orienter._refined(rays, query.skyline)
+    poses = orienter._refined(rays, query.skyline, Narrowing())
     if not len(poses):
         return None
     figures = confidence.oriented_figures(poses, rays, orienter._moved_m(poses))

@@ -12,8 +12,11 @@ from skyline.cli.photo_options import (
     CameraElevation,
     CameraPosition,
     FieldOfView,
+    Heading,
+    HeadingSlack,
     PhotoFile,
     PhotoProjection,
+    heading_of,
 )
 from skyline.cli.terminal import Terminal
 from skyline.tasks.label import LABEL_FILES, LabelTask, label_photo
@@ -30,6 +33,8 @@ def label(
     elevation: CameraElevation = None,
     pose: Annotated[Path | None, POSE] = None,
     fov_deg: FieldOfView = None,
+    heading: Heading = None,
+    heading_slack: HeadingSlack = None,
     ridges: Annotated[
         bool, Option("--ridges", help="Draw the skyline of the elevation model faintly.")
     ] = False,
@@ -40,7 +45,9 @@ def label(
 
     Their distances are written beside the names. The camera is oriented by the
     skyline at its position, unless its pose is given. Summits that terrain hides
-    are left out; if none is in view, the photo is written without names.
+    are left out; if none is in view, the photo is written without names. Where
+    the direction is not sure, but more likely right than wrong, the names are
+    written with its confidence.
     """
     terminal = Terminal.of(context)
     task = LabelTask(
@@ -49,7 +56,11 @@ def label(
         crs=crs,
         peaks=peaks,
         output=output,
-        at=CameraAt(lonlat_deg=None if at is None else parse_position(at), elevation_m=elevation),
+        at=CameraAt(
+            lonlat_deg=None if at is None else parse_position(at),
+            elevation_m=elevation,
+            heading_deg=heading_of(heading, heading_slack),
+        ),
         pose=pose,
         fov_deg=fov_deg,
         projection=projection,

@@ -20,6 +20,7 @@ from skyline.cli.photo_options import (
     SearchBounds,
     UseGps,
     entry_of,
+    heading_of,
 )
 from skyline.cli.terminal import Terminal
 from skyline.match.prior import NOTED_KM
@@ -74,7 +75,14 @@ def locate(
     area; `skyline cache` lists them.
     """
     common = entry_of(
-        fov_deg, projection, near, bounds, (heading, heading_slack), eye_height, use_gps, peaks
+        fov_deg,
+        projection,
+        near,
+        bounds,
+        heading_of(heading, heading_slack),
+        eye_height,
+        use_gps,
+        peaks,
     )
     task = LocateTask(
         entries=list(entries_of(photo, common)),

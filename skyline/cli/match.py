@@ -19,6 +19,7 @@ from skyline.cli.photo_options import (
     SearchBounds,
     UseGps,
     entry_of,
+    heading_of,
     is_numbers,
 )
 from skyline.cli.terminal import Terminal
@@ -102,7 +103,14 @@ def match(
             "standard input is read in this process; name a file, or leave --workers out"
         )
     common = entry_of(
-        fov_deg, projection, near, bounds, (heading, heading_slack), eye_height, use_gps, peaks
+        fov_deg,
+        projection,
+        near,
+        bounds,
+        heading_of(heading, heading_slack),
+        eye_height,
+        use_gps,
+        peaks,
     )
     task = MatchTask(
         stores=stores,

@@ -12,7 +12,10 @@ from skyline.cli.photo_options import (
     CameraElevation,
     CameraPosition,
     FieldOfView,
+    Heading,
+    HeadingSlack,
     PhotoProjection,
+    heading_of,
 )
 from skyline.cli.terminal import Terminal
 from skyline.errors import SkylineError, check_suffix, printable
@@ -42,6 +45,8 @@ def orient(
     ] = None,
     fov_deg: FieldOfView = None,
     projection: PhotoProjection = None,
+    heading: Heading = None,
+    heading_slack: HeadingSlack = None,
     output: Annotated[
         Path | None,
         output_option("Write a table with a row for each photo.", "FILE.csv"),
@@ -58,6 +63,7 @@ def orient(
         lonlat_deg=None if at is None else parse_position(at),
         elevation_m=elevation,
         position_sd_m=position_sd_m,
+        heading_deg=heading_of(heading, heading_slack),
     )
     entries = list(entries_of(photo, Entry("", fov_deg, None, projection)))
     check_outputs([output], [*photo, *(Path(one.path) for one in entries)])

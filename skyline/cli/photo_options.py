@@ -33,7 +33,7 @@ PhotoProjection = Annotated[
     Projection | None,
     _known(
         "--projection",
-        help="Projection of a panorama, usually cylindrical.",
+        help="Projection of a panorama, usually cylindrical, or fisheye.",
         show_default="from the photo's XMP, else perspective",
     ),
 ]
@@ -109,28 +109,38 @@ def entry_of(
     projection: Projection | None,
     near: str | None,
     bounds: str | None,
-    heading: tuple[float | None, float | None],
+    heading_deg: tuple[float, float] | None,
     eye_height_m: float | None,
     use_gps: bool,
     peaks: Path | None,
 ) -> Entry:
     """Return an entry with the options that hold for every photo.
 
-    Raises `InputError` for a value that is out of range. ``heading`` is a heading and its greatest
-    error.
+    Raises `InputError` for a value that is out of range. ``heading_deg`` is a heading and its
+    greatest error.
     """
-    if None in heading and heading != (None, None):
-        raise InputError(
-            "one of --heading DEG and --heading-slack DEG is given; expected both or neither"
-        )
     narrowing = Narrowing(
         near=None if near is None else parse_near(near, peaks),
         bounds_deg=None if bounds is None else parse_bounds(bounds),
-        heading_deg=None if None in heading else heading,  # type: ignore[arg-type]
+        heading_deg=heading_deg,
         eye_height_m=eye_height_m,
         use_gps=use_gps,
     )
     return Entry("", fov_deg, None, projection, narrowing)
+
+
+def heading_of(heading: float | None, slack: float | None) -> tuple[float, float] | None:
+    """Return a heading and its greatest error; None where neither is given.
+
+    Raises `InputError` if one of them is given alone.
+    """
+    if heading is None and slack is None:
+        return None
+    if heading is None or slack is None:
+        raise InputError(
+            "one of --heading DEG and --heading-slack DEG is given; expected both or neither"
+        )
+    return heading, slack
 
 
 def parse_near(text: str, gazetteer: Path | None) -> tuple[float, float, float]:

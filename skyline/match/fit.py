@@ -155,7 +155,7 @@ class CurveFit:
         north = (profile * cosine - slope * sine - ground[:, 1]) * near
         miss = tangent - profile - east * state[:, _EAST, np.newaxis]
         miss -= north * state[:, _NORTH, np.newaxis]
-        turned = near_level_changes(azimuth, tangent, slope, is_panorama=self._rays.is_panorama)
+        turned = near_level_changes(azimuth, tangent, slope, self._rays.projection)
         change = np.stack([-slope, *turned, -east, -north], axis=1)
         if self._rays.is_panorama:
             wander = np.tile(self._wander.T, (len(state), 1, 1))
@@ -201,8 +201,9 @@ class CurveFit:
         It is as large as a pixel. A camera measures pixels. If the error did not grow with the
         field of view, a small enough one would make every miss small.
         """
-        usual = float(self._rays.projection.half_width(REFERENCE_FOV_DEG))
-        size = 1.0 if self._rays.is_panorama else self._rays.half_width / usual
+        projection = self._rays.projection
+        usual = float(projection.half_width(REFERENCE_FOV_DEG))
+        size = 1.0 if projection.spreads_angles else self._rays.half_width / usual
         scale = np.asarray(np.exp(state[:, _LOG_SCALE]) * size, dtype=np.float32)
         return np.asarray(np.radians(_ERRORS.photo_deg) * scale)
 

@@ -357,8 +357,8 @@ class Matcher(Releasable):
     ) -> Pose | None:
         """Return the pose to which a start leads, or None."""
         about_start = skyline.with_fov(start.fov_deg)
-        if skyline.projection.is_panorama and skyline.fov_deg is None:
-            skyline = about_start  # No search finds a panorama's field of view.
+        if skyline.projection.spreads_angles and skyline.fov_deg is None:
+            skyline = about_start  # No search finds a panorama's or a fisheye's field of view.
         rays, prior = self._rays_and_prior(skyline, narrowing)
         rays_about_start, _ = self._rays_and_prior(about_start, None)
         poses = self._method.fitted(rays, start, prior, rays_about_start)

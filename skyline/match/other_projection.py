@@ -24,13 +24,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from skyline.arrays import Float64Array
-from skyline.camera import MAX_PANORAMA_DEG, Projection, fisheye_off_axis_rad, fisheye_rays
-from skyline.match.rays import Rays, in_runs
+from skyline.camera import MAX_FISHEYE_DEG, MAX_PANORAMA_DEG, Projection
+from skyline.match.rays import Rays, in_runs, usual_distortion
 from skyline.match.refine import Refinement
 from skyline.match.solver import LOG_SCALE, ROUGH, TEMPERATURE, WARP, Fit
 from skyline.pose import Poses
-
-FISHEYE = "fisheye"
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,23 +47,18 @@ class BentImages:
     """Scale of the exponential distribution of barrel distortion among lenses that draw straight
     lines straight. Of such lenses in lensfun's database wider than 75 degrees, 171 settings, the
     distortions have an rms of 0.048, and 1 % exceed 0.17."""
-    fisheye_sd: float = 0.06
-    """Standard deviation of the term of `skyline.camera.fisheye_off_axis_rad`."""
     start_scales: tuple[float, ...] = (0.87, 1.0)
     """Factors on the perspective fit's scale from which the other projections are fitted."""
     columns_per_bin: float = 0.8
     """Columns for each of the solver's steps of azimuth, where a perspective photo has the most.
     The solver averages no two of them in any projection, so the costs are of the same columns."""
-    widest_radius: float = 1.5
-    """Largest radius at the side of a fisheye that is tried: 156 degrees."""
+    widest_fisheye_deg: float = 156.0
+    """Largest field of view of a fisheye from which a fit starts."""
     least_fov_share: float = 0.75
     """Smallest field of view that is tried, as a share of the one at the perspective fit's scale.
     """
     greatest_fov_share: float = 1.25
     """Largest field of view that is tried, as such a share."""
-    most_fisheye_deg: float = 170.0
-    """Largest field of view of a fisheye that is tried: its rays look ahead, with 5 degrees to
-    spare on either side."""
 
 
 _BENT = BentImages()
@@ -77,17 +70,20 @@ class OtherProjection:
 
     Attributes
     ----------
-    name : str
-        ``cylindrical`` or ``fisheye``.
+    projection : Projection
+        Cylindrical or fisheye.
     fov_deg : float
         The horizontal field of view with which it fits best.
     probability : float
         The probability that the photo is not a perspective one.
+    second : OtherProjection, optional
+        The next likely one.
     """
 
-    name: str
+    projection: Projection
     fov_deg: float
     probability: float
+    second: "OtherProjection | None" = None
 
     @property
     def is_likely(self) -> bool:
@@ -97,15 +93,19 @@ class OtherProjection:
     @property
     def in_words(self) -> str:
         """The reason against a pose that was fitted as a perspective photo's."""
-        if self.name == FISHEYE:
-            return (
-                f"the skyline is bent as by a fisheye of about {self.fov_deg:.0f} degrees, for "
-                "which there is no --projection; straighten the photo first"
-            )
-        return (
-            f"the skyline is bent as in a panorama of about {self.fov_deg:.0f} degrees; if it is "
-            f"one, give --projection {self.name} --fov-deg {self.fov_deg:.0f}"
-        )
+        likely = [one for one in (self, self.second) if one is not None and one.is_likely]
+        kinds = " or ".join(one._kind for one in likely)
+        options = " or ".join(one._options for one in likely)
+        return f"the skyline is bent as by {kinds}; if it is one, give {options}"
+
+    @property
+    def _kind(self) -> str:
+        kind = "panorama" if self.projection.is_panorama else str(self.projection)
+        return f"a {kind} of about {self.fov_deg:.0f} degrees"
+
+    @property
+    def _options(self) -> str:
+        return f"--projection {self.projection} --fov-deg {self.fov_deg:.0f}"
 
 
 def find_other_projection(
@@ -113,7 +113,7 @@ def find_other_projection(
 ) -> OtherProjection | None:
     """Return the likeliest other projection of a photo.
 
-    None for a panorama, and for a pose that is more likely wrong.
+    None for a panorama or a fisheye, and for a pose that is more likely wrong.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ def find_other_projection(
     refinement_of : callable
         Returns the refinement of a photo's rays, with the priors with which the pose was found.
     """
-    if rays.is_panorama or sure < _BENT.least_confidence:
+    if rays.projection.spreads_angles or sure < _BENT.least_confidence:
         return None
     columns = _columns(rays, float(pose.fov_deg[0]))
     own = _best_fit(refinement_of(columns), _from(pose, columns, np.ones(1)))
@@ -133,15 +133,16 @@ def find_other_projection(
     share = _BENT.unmarked_share
     prior_log_odds = math.log(share / (1.0 - share))
     others = []
-    for name, bent in (("cylindrical", _panorama(columns)), (FISHEYE, _fisheye(columns))):
+    for bent in (_panorama(columns), _fisheye(columns)):
         start = _from(replace(pose, distortion=None), bent, np.array(_BENT.start_scales))
         fit = _best_fit(refinement_of(bent), start)
         log_p = -0.5 * float(np.square(fit.state[0, WARP:] / bent.warp_sd).sum())
         log_odds = float(own.cost[0] - fit.cost[0]) / TEMPERATURE + log_p - own_log_p
         log_odds = min(max(log_odds + prior_log_odds, -50.0), 50.0)
         fov_deg = float(bent.fov_at(fit.state[0, LOG_SCALE]))
-        others.append(OtherProjection(name, fov_deg, 1.0 / (1.0 + math.exp(-log_odds))))
-    return max(others, key=lambda other: other.probability)
+        others.append(OtherProjection(bent.projection, fov_deg, 1.0 / (1.0 + math.exp(-log_odds))))
+    second, likeliest = sorted(others, key=lambda other: other.probability)
+    return replace(likeliest, second=second)
 
 
 def _columns(rays: Rays, fov_deg: float) -> Rays:
@@ -169,21 +170,18 @@ def _panorama(columns: Rays) -> Rays:
 def _fisheye(columns: Rays) -> Rays:
     """Return a perspective photo's rays in a fisheye's image.
 
-    The image has the same scale in its middle.
+    The image has the same scale in its middle, unless it would be too wide.
     """
-    shrink = min(1.0, _BENT.widest_radius / columns.half_width)
-    u, v = fisheye_rays(columns.u, columns.v, shrink)
-    side = shrink * columns.half_width
-    side_rad = float(fisheye_off_axis_rad(side))
-    fov_deg = math.degrees(2.0 * side_rad)
+    shrink = min(1.0, math.radians(_BENT.widest_fisheye_deg) / 2.0 / columns.half_width)
+    fov_deg = math.degrees(2.0 * shrink * columns.half_width)
     return replace(
         columns,
-        u=u,
-        v=v,
+        u=shrink * columns.u,
+        v=shrink * columns.v,
         fov_deg=fov_deg,
-        fov_range_deg=_range_deg(fov_deg, _BENT.most_fisheye_deg),
-        # A change of the angle as a share of its tangent.
-        distortion_sd=_BENT.fisheye_sd * side**3 / (math.sin(side_rad) * math.cos(side_rad)),
+        fov_range_deg=_range_deg(fov_deg, MAX_FISHEYE_DEG),
+        projection=Projection.FISHEYE,
+        distortion_sd=usual_distortion(Projection.FISHEYE, fov_deg),
     )
 
 

@@ -141,9 +141,7 @@ class PlacePrior:
         if grid_heading_deg is not None:
             grid_heading_deg -= float(frame.convergence_deg(easting_m=east, northing_m=north))
         sd_m = noted_position_sd_m(noted)
-        compass_sd_deg = (
-            _EXIF.compass_sd_deg if noted.is_magnetic is False else _EXIF.magnetic_sd_deg
-        )
+        compass_sd_deg = noted_heading_sd_deg(noted)
         elevation_m = None
         elevation_sd_m = _EXIF.least_altitude_sd_m
         if noted.accuracy_m is not None:
@@ -330,6 +328,11 @@ def _noted_heights(noted: NotedPlace, ground: KnownGround) -> list[_NotedHeight]
 def noted_position_sd_m(noted: NotedPlace) -> float:
     """Return the scale of the error of a photo's position."""
     return max(_EXIF.least_position_sd_m, noted.accuracy_m or GPS_SD_M)
+
+
+def noted_heading_sd_deg(noted: NotedPlace) -> float:
+    """Return the standard deviation of a photo's compass that is not disturbed."""
+    return _EXIF.compass_sd_deg if noted.is_magnetic is False else _EXIF.magnetic_sd_deg
 
 
 def _altitude_sd_m(noted: NotedPlace) -> float:

@@ -6,12 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from skyline.arrays import Float64Array, IntArray
-from skyline.camera import (
-    MAX_PANORAMA_DEG,
-    WANDER_DEGREES,
-    ImagePoints,
-    level,
-)
+from skyline.camera import WANDER_DEGREES, ImagePoints, Projection, level
 from skyline.errors import InputError
 from skyline.photo.skyline import Lens, PhotoSkyline
 
@@ -36,6 +31,10 @@ class CameraModel:
     """Standard deviation of a wide lens's distortion."""
     wide_deg: float = 75.0
     """Lenses of a greater field of view are wide."""
+    fisheye_sd: float = 0.06
+    """Standard deviation of t in a fisheye's mapping, x + t x^3, from the radius x in the image to
+    the angle off the axis. An equidistant lens has 0, an equisolid one 1/24, a stereographic one
+    -1/12."""
     wander_fov_deg: float = 240.0
     """Field of view of a panorama whose rows wander by 1 degree, divided by the polynomial's degree
     minus 1. The deviations grow with the square root of the field of view."""
@@ -71,18 +70,12 @@ class Rays(ImagePoints):
 
         ``fov_sd_share`` is the deviation of a field of view, as a share of it, where its lens has
         none of its own. Raises `InputError` for a photo of unknown field of view, unless the
-        matcher finds it, and for a panorama of unknown field of view.
+        matcher finds it, and for a panorama or a fisheye of unknown field of view.
         """
-        is_panorama = photo.projection.is_panorama
         weight = photo.trust[photo.trusted]
         if photo.fov_deg is not None:
             fov_deg = photo.fov_deg
             lens = photo.lens or Lens(photo.fov_deg)
-            distortion_sd = (
-                _CAMERAS.wide_distortion_sd
-                if fov_deg > _CAMERAS.wide_deg
-                else _CAMERAS.distortion_sd
-            )
             u, v = photo.image_plane()
             rays = cls(
                 u=u,
@@ -90,12 +83,13 @@ class Rays(ImagePoints):
                 weight=weight,
                 fov_deg=fov_deg,
                 projection=photo.projection,
-                distortion_sd=0.0 if is_panorama else distortion_sd,
+                distortion_sd=usual_distortion(photo.projection, fov_deg),
             )
-            share = 0.0 if fov_deg == MAX_PANORAMA_DEG else fov_sd_share
+            is_whole = photo.projection.is_panorama and fov_deg == photo.projection.most_fov_deg
+            share = 0.0 if is_whole else fov_sd_share
             fov_sd_deg = share * fov_deg if lens.fov_sd_deg is None else lens.fov_sd_deg
             return rays.about(fov_sd_deg, lens.most_fov_deg or math.inf)
-        if finds_fov and not is_panorama:
+        if finds_fov and photo.projection is Projection.PERSPECTIVE:
             fov_deg, fov_sd_deg = USUAL_FOV_DEG
             u, v = photo.with_fov(fov_deg).image_plane()
             return cls(
@@ -105,7 +99,7 @@ class Rays(ImagePoints):
                 fov_deg=fov_deg,
                 fov_range_deg=FOV_RANGE_DEG,
                 fov_sd_deg=fov_sd_deg,
-                distortion_sd=_CAMERAS.distortion_sd,
+                distortion_sd=usual_distortion(photo.projection, fov_deg),
             )
         raise InputError(
             "the photo's field of view is not known: it is not in the image; give --fov-deg"
@@ -131,7 +125,7 @@ class Rays(ImagePoints):
         """Standard deviation of `log_scale`."""
         sd_rad = math.radians(self.fov_sd_deg)
         fov_rad = math.radians(self.fov_deg)
-        return sd_rad / (fov_rad if self.is_panorama else math.sin(fov_rad))
+        return sd_rad / (fov_rad if self.projection.spreads_angles else math.sin(fov_rad))
 
     def searched_fov_deg(self, log_scale: Float64Array) -> Float64Array:
         """Return `fov_at` of factors, held within `fov_bounds_deg`."""
@@ -167,10 +161,22 @@ class Rays(ImagePoints):
         if fov_sd_deg == 0.0:
             return self
         fov_deg = self.fov_deg
-        possible_deg = MAX_PANORAMA_DEG if self.is_panorama else 0.5 * (fov_deg + 180.0)
+        possible_deg = 0.5 * (fov_deg + 180.0)
+        if self.projection.spreads_angles:
+            possible_deg = self.projection.most_fov_deg
         widest_deg = min(fov_deg + _CAMERAS.searched_sds * fov_sd_deg, possible_deg, most_deg)
         narrowest_deg = max(fov_deg - _CAMERAS.searched_sds * fov_sd_deg, 0.5 * fov_deg)
         return replace(self, fov_range_deg=(narrowest_deg, widest_deg), fov_sd_deg=fov_sd_deg)
+
+
+def usual_distortion(projection: Projection, fov_deg: float) -> float:
+    """Return the standard deviation of a distortion, see `skyline.camera.undistorted`."""
+    if projection.is_panorama:
+        return 0.0
+    if projection is Projection.FISHEYE:
+        return float(_CAMERAS.fisheye_sd * projection.half_width(fov_deg) ** 2)
+    is_wide = fov_deg > _CAMERAS.wide_deg
+    return _CAMERAS.wide_distortion_sd if is_wide else _CAMERAS.distortion_sd
 
 
 def thinned(rays: Rays, bins: int) -> Rays:
@@ -181,7 +187,7 @@ def thinned(rays: Rays, bins: int) -> Rays:
     are returned from left to right. The weight of an average is the mean weight of its rays, so
     weights refer to the noise of averages.
     """
-    azimuth = rays.u if rays.is_panorama else np.arctan(rays.u)
+    azimuth = rays.u if rays.projection.spreads_angles else np.arctan(rays.u)
     step = np.floor(azimuth * (bins / (2.0 * np.pi))).astype(np.intp)
     step -= step.min()
     total = np.bincount(step, rays.weight)
@@ -193,9 +199,10 @@ def in_runs(rays: Rays, count: int) -> Rays:
     """Average rays over ``count`` equal steps of u.
 
     Steps with few trusted rays are left out. The mean weight is 1. A panorama is joined from
-    photos, so it has ``count`` steps in each 60 degrees.
+    photos, so it has ``count`` steps in each 60 degrees; a fisheye, which shows as much, has them,
+    too.
     """
-    if rays.is_panorama:
+    if rays.projection.spreads_angles:
         count = max(1, round(count * rays.fov_deg / REFERENCE_FOV_DEG))
     left, right = rays.u.min(), rays.u.max()
     width = max((right - left) / count, 1e-9)

@@ -24,7 +24,7 @@ _OF_CAMERA = (
 )  # fmt: skip
 """Keys of a candidate that differ between photos of one place."""
 
-_NORTH = {True: ", from magnetic north", False: "", None: ", from a north that it does not name"}
+NORTHS = {True: ", from magnetic north", False: "", None: ", from a north that it does not name"}
 _WGS84 = Geod(ellps="WGS84")
 _COVARIANCE = ("easting_variance_m2", "northing_variance_m2", "easting_northing_covariance_m2")
 
@@ -199,7 +199,7 @@ class MatchResult:
             )
             sentences.append(f"The photo says {where}{off}{accuracy}.")
         if exif["heading_deg"] is not None:
-            north = _NORTH[exif["heading_is_magnetic"]]
+            north = NORTHS[exif["heading_is_magnetic"]]
             own = "" if best is None else f", {it} {best.heading_deg:.0f}"
             sentences.append(f"Its compass says {exif['heading_deg']:.0f} degrees{north}{own}.")
         far_m = max(

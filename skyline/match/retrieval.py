@@ -385,10 +385,10 @@ def _sum_of(screens: Sequence[Screen]) -> Scores:
 def _even_log_scales(rays: Rays, low: float, high: float, step: float) -> Float64Array:
     """Return the middles of equal parts of a range.
 
-    There are as few parts as possible, each no wider than a step. The step of a wide panorama is
-    shorter: its ends move as far as the ends of a lens.
+    There are as few parts as possible, each no wider than a step. The step of a wide panorama or
+    fisheye is shorter: its ends move as far as the ends of a lens.
     """
-    if rays.is_panorama:
+    if rays.projection.spreads_angles:
         step *= min(1.0, REFERENCE_FOV_DEG / rays.fov_deg)
     parts = max(1, math.ceil((high - low) / step))
     return np.asarray(low + (np.arange(parts) + 0.5) * ((high - low) / parts))

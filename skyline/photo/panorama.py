@@ -51,11 +51,13 @@ def panorama_of_xmp(xmp: Xmp, size_px: tuple[int, int]) -> tuple[Projection, Len
     noted = tags.get("ProjectionType", Projection.EQUIRECTANGULAR).lower()
     if noted in _OF_A_LENS:
         return None
-    if noted not in {one for one in Projection if one.is_panorama}:
+    if noted not in set(Projection):
         reason = f"XMP says that the photo's projection is {noted}, which is not known here"
         return Projection.PERSPECTIVE, Lens(reason=reason)
-    if width is None or turn is None or not width <= turn <= _WIDEST_PX:
-        reason = "XMP says that the photo is a panorama, but not how wide"
+    is_fisheye = noted == Projection.FISHEYE
+    if is_fisheye or width is None or turn is None or not width <= turn <= _WIDEST_PX:
+        kind = "fisheye" if is_fisheye else "panorama"
+        reason = f"XMP says that the photo is a {kind}, but not how wide"
         return Projection(noted), Lens(reason=reason)
     return Projection(noted), _panorama_lens(size_px, width, height, MAX_PANORAMA_DEG / turn)
 

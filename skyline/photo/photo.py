@@ -71,8 +71,8 @@ def read_photo(
     ----------
     path : str, Path, PIL image, or (H, W) or (H, W, 3) uint8
     fov_deg : float, optional
-        Horizontal field of view, degrees: 1 to 179, or to 360 for a panorama. By default it is read
-        from the photo's EXIF or XMP.
+        Horizontal field of view, degrees: 1 to 179, to 180 for a fisheye, or to 360 for a panorama.
+        By default it is read from the photo's EXIF or XMP.
     projection : Projection, optional
         Perspective by default, unless the photo's EXIF or XMP note a panorama.
 
@@ -99,8 +99,10 @@ def read_photo(
         rgb = rgb_of(upright)
     if min(rgb.shape[:2]) < 2:
         raise InputError(f"{name} has {width} x {height} px; expected a photo or a sky mask")
-    # Notes on a lens do not apply to a panorama, nor those on a panorama to a lens.
-    is_as_noted = projection is None or projection.is_panorama == noted_projection.is_panorama
+    # Notes on a lens do not apply to a panorama or a fisheye, nor those on a panorama to a lens.
+    is_as_noted = projection in (None, noted_projection) or (
+        projection is not None and projection.is_panorama and noted_projection.is_panorama
+    )
     known = lens if fov_deg is None and is_as_noted else None
     return Photo(
         rgb,

@@ -81,7 +81,7 @@ def find_skyline(photo: Photo, sky_model: Any = None) -> PhotoSkyline:
     and no panorama. Raises `InputError` where no skyline is found.
     """
     height, width = photo.rgb.shape[:2]
-    is_noted = photo.fov_deg is not None or photo.projection.is_panorama
+    is_noted = photo.fov_deg is not None or photo.projection.spreads_angles
     if not is_noted and width > MAX_PINHOLE_ASPECT * height:
         _log.warning(
             "%s has %d x %d px and is matched as a strip of a photo; if it is a panorama, give "

@@ -35,7 +35,7 @@ def write_trace(skyline: PhotoSkyline, path: str | Path) -> None:
     """
     check_suffix(path, TRACES)
     lines = [f"# width={skyline.width_px} height={skyline.height_px}"]
-    if skyline.projection.is_panorama:
+    if skyline.projection.spreads_angles:
         lines.append(f"# projection={skyline.projection}")
     if skyline.fov_deg is not None:
         lines.append(f"# fov_deg={skyline.fov_deg!r}")

@@ -63,8 +63,8 @@ def label_photo(task: LabelTask, listener: Listener) -> str:
     suffix_of(task.output, LABEL_FILES)
     if task.pose is not None and (task.at != CameraAt() or task.fov_deg is not None):
         raise InputError(
-            "--pose has the position and the field of view; leave --at, --elevation and --fov-deg "
-            "out"
+            "--pose has the position, the heading and the field of view; leave --at, --elevation, "
+            "--heading and --fov-deg out"
         )
     check_outputs([task.output], [task.photo, *filter(None, [task.pose]), task.peaks])
     picture = read_photo(task.photo, task.fov_deg, projection=task.projection)
@@ -79,10 +79,10 @@ def label_photo(task: LabelTask, listener: Listener) -> str:
         terrain = read_dem(task.dem, DemOptions(crs=task.crs))
     gazetteer = read_peaks(task.peaks, terrain.frame)
     with Viewer(terrain, gazetteer) as viewer:
-        pose = _pose_of(task, photo, noted, viewer, listener)
+        pose, confidence = _pose_of(task, photo, noted, viewer, listener)
         with listener.slow("looking for summits"):
             seen = viewer.summits(pose, photo)
-            unnamed = _write(task, picture.rgb, photo, pose, seen, viewer)
+            unnamed = _write(task, picture.rgb, photo, (pose, confidence), seen, viewer)
     missing = sorted(set(gazetteer.names) - {one.name for one in seen})
     hidden = f"; hidden or outside the photo: {some_of(missing)}" if missing else ""
     return f"{len(seen)} of {len(gazetteer)} peaks are seen{unnamed}{hidden}"
@@ -94,24 +94,24 @@ def _pose_of(
     noted: NotedPose | None,
     viewer: Viewer,
     listener: Listener,
-) -> Pose:
-    """Return the noted pose, else the one that fits.
+) -> tuple[Pose, float | None]:
+    """Return the noted pose, else the one that fits, with its confidence if it is not sure.
 
-    Raises `InputError` if the pose that fits is not sure.
+    Raises `InputError` if the pose that fits is more likely wrong than right.
     """
     if noted is not None:
-        return shown_pose(noted, viewer, listener)
+        return shown_pose(noted, viewer, listener), None
     with listener.slow("orienting the camera"), orienters(viewer.terrain) as orienter_at:
         orienter = orienter_at(task.at.place_of(photo, str(task.photo)))
-        held = orienter.orient(photo, name=str(task.photo))
-    if held.answer is None:
+        held = orienter.orient(photo, name=str(task.photo), heading_deg=task.at.heading_deg)
+    if held.likely is None:
         raise InputError(
-            f"{task.photo}: the camera's direction is not sure ({held.refusal}); give its pose "
-            "with --pose"
+            f"{task.photo}: the camera's direction is not sure ({held.refusal}); give about where "
+            "it looked with --heading and --heading-slack, or its pose with --pose"
         )
     for line in held.to_text().splitlines():
         listener.note(line)
-    return held.answer
+    return held.likely, held.confidence if held.refusal else None
 
 
 def shown_pose(noted: NotedPose, viewer: Viewer, listener: Listener) -> Pose:
@@ -129,19 +129,26 @@ def _write(
     task: LabelTask,
     rgb: UInt8Array,
     photo: PhotoSkyline,
-    pose: Pose,
+    held: tuple[Pose, float | None],
     seen: list[SeenPeak],
     viewer: Viewer,
 ) -> str:
-    """Write the file; return how many names no font draws, in words."""
+    """Write the file; return how many names no font draws, in words.
+
+    ``held`` is the pose, and its confidence where it is not sure.
+    """
     from skyline.report.overlay import draw_labels  # noqa: PLC0415  (slow to load)
 
     kind = LABEL_FILES[suffix_of(task.output, LABEL_FILES)]
+    pose, confidence = held
     if kind == "json":
-        records = [{name: getattr(one, name) for name in _COLUMNS} for one in seen]
+        unsure = {} if confidence is None else {"confidence": confidence}
+        records = [{name: getattr(one, name) for name in _COLUMNS} | unsure for one in seen]
         write_whole(task.output, json.dumps(records, indent=1) + "\n")
         return ""
     sight = viewer.look(pose, photo) if task.ridges else None
+    if confidence is not None:
+        seen = [one.doubted(confidence) for one in seen]
     picture, unnamed = draw_labels(photo, rgb, seen, sight, kind)
     write_whole(task.output, picture)
     return unnamed.named

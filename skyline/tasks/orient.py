@@ -12,7 +12,7 @@ from skyline.terrain.heightfield import HeightField
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraAt:
-    """What is known of where cameras stood."""
+    """What is known of where cameras stood, and where they looked."""
 
     lonlat_deg: tuple[float, float] | None = None
     """By default each photo's own GPS position."""
@@ -21,6 +21,8 @@ class CameraAt:
     position_sd_m: float | None = None
     """Standard deviation of the position; by default 50 m, or `noted_position_sd_m` for a photo's
     own position."""
+    heading_deg: tuple[float, float] | None = None
+    """Heading from true north, and its greatest error; by default they looked anywhere."""
 
     def __post_init__(self) -> None:
         if self.elevation_m is not None and self.lonlat_deg is None:
@@ -52,7 +54,11 @@ def orient_photos(
             try:
                 skyline = entry.read()
                 orienter = orienter_at(at.place_of(skyline, entry.path))
-                found: Orientation | SkylineError = orienter.orient(skyline, name=entry.path)
+                found: Orientation | SkylineError = orienter.orient(
+                    skyline,
+                    name=entry.path,
+                    heading_deg=entry.narrowing.heading_deg or at.heading_deg,
+                )
             except SkylineError as error:
                 found = error
             yield found

@@ -51,9 +51,9 @@ def oriented(run, cases, davos):
     folder, truths = cases
     lat_lon = numbers_in(truths["unmarked_panorama_110.jpg"][1])[:2]
 
-    def orient(name):
+    def orient(name, *told):
         at = ",".join(map(str, lat_lon))
-        done = run("orient", folder / name, "--at", at, "--dem", davos, "--json")
+        done = run("orient", folder / name, "--at", at, "--dem", davos, *told, "--json")
         return json.loads(done.ok().out)
 
     return orient
@@ -76,6 +76,14 @@ def test_a_projection_that_nothing_notes_is_named_and_not_trusted(
     assert projection in found["refusal"]
     width_deg = numbers_in(cases[1][name][0])[0]
     assert abs(numbers_in(found["refusal"])[0] - width_deg) < 0.1 * width_deg
+
+
+def test_a_fisheye_that_is_said_to_be_one_is_oriented(cases, oriented):
+    width_deg = numbers_in(cases[1]["fisheye_118.jpg"][0])[0]
+    found = oriented("fisheye_118.jpg", "--projection", "fisheye", "--fov-deg", width_deg)
+    assert found["trusted"]
+    assert found["heading_deg"] == pytest.approx(180.0, abs=0.3)
+    assert found["fov_deg"] == pytest.approx(width_deg, rel=0.02)
 
 
 def test_an_eye_aloft_stands_at_the_noted_height(cases, oriented):

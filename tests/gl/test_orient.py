@@ -5,12 +5,14 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from ray_scenes import poses
 from scenes import NORTH_M, WEST_M, at_deg, field_of, fractal
 from test_matcher import MIDDLE, SHARP
 
 from skyline import Orienter, orient
 from skyline.errors import InputError
 from skyline.geodesy.bounds import in_turn
+from skyline.orientation import Orientation
 from skyline.photo.noted_place import NotedPlace
 from skyline.photo.skyline import PhotoSkyline
 from skyline_bench.queries.synthetic import make_queries
@@ -88,6 +90,47 @@ def test_the_place_that_a_photo_notes_is_used(terrain, queries):
         orient(replace(query.skyline, noted=replace(noted, accuracy_m=900.0)), terrain)
     with pytest.raises(InputError, match="notes no GPS position; give the place: --at"):
         orient(query.skyline, terrain)
+
+
+def test_a_heading_that_is_given_is_kept_to(terrain, queries):
+    query = queries[1]
+    place = beside(terrain, query.truth)
+    true_deg = orient(query.skyline, terrain, **place).pose.heading_deg
+    near = orient(query.skyline, terrain, **place, heading_deg=(true_deg + 15.0, 20.0))
+    assert near.pose.heading_deg == pytest.approx(true_deg, abs=0.2)
+    far = orient(query.skyline, terrain, **place, heading_deg=(true_deg + 180.0, 20.0))
+    assert far.answer is None
+    if far.pose is not None:
+        assert abs(in_turn(far.pose.heading_deg - true_deg)) >= 160.0
+
+
+def test_a_heading_s_greatest_error_is_above_zero(terrain, queries):
+    query = queries[1]
+    with pytest.raises(InputError, match="expected a slack above 0"):
+        orient(query.skyline, terrain, **beside(terrain, query.truth), heading_deg=(90.0, 0.0))
+
+
+@pytest.mark.parametrize(("off_deg", "is_said"), [(8.0, False), (22.0, True)])
+def test_a_compass_is_named_where_it_is_far_off(terrain, queries, off_deg, is_said):
+    query = queries[1]
+    place = beside(terrain, query.truth)
+    true_deg = orient(query.skyline, terrain, **place).pose.heading_deg
+    compass_deg = (true_deg + off_deg) % 360.0
+    noted = NotedPlace((place["lon"], place["lat"]), heading_deg=compass_deg, is_magnetic=False)
+    found = orient(replace(query.skyline, noted=noted), terrain, **place)
+    assert found.heading_off_deg == pytest.approx(-off_deg, abs=0.2)
+    said = f"EXIF's compass says {compass_deg:.0f} degrees, 22 degrees off"
+    assert (said in found.to_text()) is is_said
+
+
+def test_a_pose_that_lacks_confidence_alone_is_likely_from_one_half_on(terrain, queries):
+    pose = next(iter(poses().on_map(terrain.frame)))
+    unsure = Orientation(
+        queries[0].skyline, pose, confidence=0.6, refusal="unsure", lacks_confidence_only=True
+    )
+    assert (unsure.answer, unsure.likely) == (None, pose)
+    assert replace(unsure, confidence=0.4).likely is None
+    assert replace(unsure, lacks_confidence_only=False).likely is None
 
 
 def test_a_flat_horizon_has_no_heading():

@@ -7,6 +7,7 @@ from test_matcher import MIDDLE, SHARP
 from test_orient import beside
 
 from skyline import Matcher, build_places, orient
+from skyline.camera import Projection
 from skyline_bench.queries.pinhole import CYLINDER, FISHEYES, PIN_HOLE
 from skyline_bench.queries.synthetic import make_queries
 
@@ -37,6 +38,16 @@ def test_a_fisheye_is_not_trusted_as_a_perspective_photo(terrain, mapping):
     found = orient(photo.skyline, terrain, **beside(terrain, photo.truth))
     assert found.answer is None
     assert "as by a fisheye" in found.refusal
+
+
+@pytest.mark.parametrize("mapping", FISHEYES)
+def test_a_fisheye_that_is_said_to_be_one_is_oriented(terrain, mapping):
+    photo = photo_of(terrain, mapping)
+    told = replace(photo.skyline, fov_deg=100.0, projection=Projection.FISHEYE)
+    found = orient(told, terrain, **beside(terrain, photo.truth))
+    assert found.refusal is None
+    assert found.pose.grid_heading_deg == pytest.approx(photo.truth.heading_deg, abs=0.5)
+    assert found.pose.fov_deg == pytest.approx(100.0, abs=3.0)
 
 
 @pytest.mark.parametrize("distortion_sd", [0.0, 0.05])

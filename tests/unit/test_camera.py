@@ -13,8 +13,6 @@ from skyline.camera import (
     ImagePoints,
     Projection,
     distorted,
-    fisheye_off_axis_rad,
-    fisheye_rays,
     level,
     near_level_changes,
     project,
@@ -23,6 +21,7 @@ from skyline.camera import (
 from skyline.photo.skyline import PhotoSkyline
 
 LENS, CYLINDER, SPHERE = Projection.PERSPECTIVE, Projection.CYLINDRICAL, Projection.EQUIRECTANGULAR
+FISHEYE = Projection.FISHEYE
 U = np.linspace(-0.5, 0.5, 7)
 V = 0.2 * np.cos(3.0 * U) - 0.05
 
@@ -152,7 +151,7 @@ def test_every_derivative_of_a_direction_agrees_with_differences(projection, war
         assert_allclose(changes[..., k], (after - before)[:, 0] / (2.0 * h), atol=1e-8)
 
 
-@pytest.mark.parametrize("projection", [LENS, CYLINDER])
+@pytest.mark.parametrize("projection", [LENS, CYLINDER, FISHEYE])
 def test_quick_derivatives_are_exact_at_the_horizon_and_near_it_to_first_order(projection):
     # A lens rises with its scale even at the horizon's height; other derivatives are of a pitch
     # and a roll that the elevations 0.02 change by 0.02^2 at most, about a level camera.
@@ -161,21 +160,61 @@ def test_quick_derivatives_are_exact_at_the_horizon_and_near_it_to_first_order(p
     azimuth, tangent, turn, rise = image.levelled_with_changes(*np.zeros((3, 1)), no_warp)
     slope = np.full_like(azimuth, 0.3)
     expected = (rise - slope[..., np.newaxis] * turn)[0, :, :3].T
-    quick = near_level_changes(azimuth, tangent, slope, is_panorama=image.is_panorama)
+    quick = near_level_changes(azimuth, tangent, slope, projection)
     found = np.stack(quick)[:, 0]
-    assert_allclose(found[2], expected[2], atol=1e-12)
+    # A fisheye's is to first order everywhere.
+    assert_allclose(found[2], expected[2], atol=0.02**2 if projection is FISHEYE else 1e-12)
     assert_allclose(found[:2], expected[:2], atol=0.02 * (0.3 + 0.02) * 1.1)
 
 
-def test_a_fisheye_looks_as_far_aside_as_its_mapping_says():
-    u, v = fisheye_rays(np.array([0.6]), np.array([0.8]), 0.5)
-    assert np.arctan(np.hypot(u, v)[0]) == pytest.approx(fisheye_off_axis_rad(0.5))
-    assert v[0] / u[0] == pytest.approx(0.8 / 0.6)
+def fisheye(**given):
+    """Return a level fisheye of half a turn, 181 px square: 1 degree a pixel."""
+    size = {"width_px": 180, "height_px": 180, "fov_deg": 180.0}
+    held = {"grid_heading_deg": 90.0, "pitch_deg": 0.0, "roll_deg": 0.0}
+    return Camera(projection=FISHEYE, **{**size, **held, **given})
+
+
+def test_a_fisheye_looks_as_many_degrees_aside_as_a_pixel_is_off_its_middle():
+    azimuth_deg, tangent = fisheye().directions(np.array([149.5, 89.5]), np.array([89.5, 44.5]))
+    assert_allclose(azimuth_deg, (150.0, 90.0))
+    assert_allclose(np.degrees(np.arctan(tangent)), (0.0, 45.0), atol=1e-9)
+
+
+def test_a_fisheye_s_corners_look_behind_the_camera():
+    # 80 degrees across and 80 up are 113 degrees off the axis, half way between right and up.
+    off = np.radians(np.hypot(80.0, 80.0))
+    side = np.sin(off) * np.sqrt(0.5)
+    azimuth_deg, tangent = fisheye().directions(169.5, 9.5)
+    assert azimuth_deg == pytest.approx(90.0 + np.degrees(np.arctan2(side, np.cos(off))))
+    assert azimuth_deg > 180.0
+    assert tangent == pytest.approx(side / np.hypot(side, np.cos(off)))
+
+
+def test_a_pitch_turns_a_fisheye_s_rays_about_the_camera():
+    _, tangent = fisheye(pitch_deg=20.0).directions(89.5, 59.5)
+    assert np.degrees(np.arctan(tangent)) == pytest.approx(50.0)
+
+
+def test_what_is_right_behind_a_fisheye_is_not_on_its_picture():
+    assert np.isnan(fisheye().pixels(270.0, 0.0)).all()
+
+
+def test_a_fisheye_s_distortion_keeps_its_field_of_view():
+    # An equisolid fisheye of half a turn: the radius is the sine of half the angle, over sin(45).
+    r = np.array([0.0, 0.5, 1.0])
+    across, above = undistorted(r, 0.0 * r, 0.1, FISHEYE)
+    assert_allclose(across, r + 0.1 * (r**3 - r))
+    assert_allclose(distorted(across, above, 0.1, FISHEYE)[0], r, atol=1e-9)
 
 
 @pytest.mark.parametrize(
     ("projection", "distortion", "wander"),
-    [(LENS, 0.05, ()), (CYLINDER, 0.0, (0.01, 0.02, -0.01, 0.0)), (SPHERE, 0.0, ())],
+    [
+        (LENS, 0.05, ()),
+        (FISHEYE, 0.05, ()),
+        (CYLINDER, 0.0, (0.01, 0.02, -0.01, 0.0)),
+        (SPHERE, 0.0, ()),
+    ],
 )
 def test_the_directions_of_pixels_lead_back_to_them(projection, distortion, wander):
     camera = Camera(

@@ -135,7 +135,8 @@ def test_a_panorama_that_was_cropped_bounds_the_field_of_view(size, least_deg, m
         ({"FullPanoWidthPixels": "many"}, "not how wide"),
         ({"FullPanoWidthPixels": "9e99", "CroppedAreaImageWidthPixels": "9e99"}, "not how wide"),
         ({"FullPanoWidthPixels": 28_800_000}, "0.12 degrees fit no photo"),
-        ({"ProjectionType": "fisheye"}, "projection is fisheye, which is not known"),
+        ({"ProjectionType": "cubemap"}, "projection is cubemap, which is not known"),
+        ({"ProjectionType": "fisheye"}, "a fisheye, but not how wide"),
     ],
 )
 def test_a_panorama_that_makes_no_sense_is_not_taken_for_a_lens(wrong, said):

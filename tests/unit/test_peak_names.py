@@ -133,3 +133,9 @@ def test_a_saved_panorama_warns_of_names_that_no_font_draws(tmp_path, caplog):
     path = tmp_path / "north.png"
     assert save_panorama(FIELD, path, lon=lon, lat=lat, peaks=PEAKS, config=NORTH) == 2
     assert len(caplog.records) == 1
+
+
+def test_a_doubted_name_stands_with_its_probability():
+    doubted = SEEN[0].doubted(0.74)
+    assert doubted.name == "Plain (74 %)"
+    assert doubted.column_px == SEEN[0].column_px

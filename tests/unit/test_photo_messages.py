@@ -36,7 +36,7 @@ class TestSkylines:
             (255.0, PERSPECTIVE, "not a number from 0 to 1"),
             (-0.1, PERSPECTIVE, "not a number from 0 to 1"),
             (np.nan, PERSPECTIVE, "not a number from 0 to 1"),
-            (1.0, "fisheye", "projection is 'fisheye'; expected perspective, cyl"),
+            (1.0, "cubemap", "projection is 'cubemap'; expected perspective, cyl"),
         ],
     )
     def test_of_a_trust_or_projection_that_is_none(self, trust, projection, said):
@@ -47,6 +47,7 @@ class TestSkylines:
         ("projection", "fov_deg", "said"),
         [
             (Projection.CYLINDRICAL, 361.0, "361 degrees; expected 1 to 360: a full turn"),
+            (Projection.FISHEYE, 181.0, "181 degrees; expected 1 to 180: .* crop a wider fisheye"),
             (PERSPECTIVE, 180.0, "180 degrees; expected 1 to 179.* cylindrical"),
             (PERSPECTIVE, 0.99, "expected 1 to 179"),
             (PERSPECTIVE, np.nan, "expected 1 to 179"),

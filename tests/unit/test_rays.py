@@ -7,6 +7,7 @@ import pytest
 from ray_scenes import equally_trusted
 
 from skyline.camera import Projection
+from skyline.errors import InputError
 from skyline.match.rays import Rays
 from skyline.photo.skyline import PhotoSkyline
 
@@ -31,12 +32,26 @@ def test_a_field_of_view_is_searched_about_the_one_given():
         (90.0, "perspective", 0.05),
         (None, "perspective", 0.01),
         (90.0, "cylindrical", 0.0),
+        (360.0 / np.pi, "fisheye", 0.06),  # Half of it is a radian
     ],
 )
-def test_lenses_may_distort_and_panoramas_do_not(fov_deg, projection, sd):
+def test_lenses_and_fisheyes_may_distort_and_panoramas_do_not(fov_deg, projection, sd):
     row_px = np.full(64, 20.0)
     skyline = PhotoSkyline(row_px, np.ones(64), 64, 48, fov_deg, Projection(projection))
-    assert Rays.of(skyline, 0.025, finds_fov=True).distortion_sd == sd
+    assert Rays.of(skyline, 0.025, finds_fov=True).distortion_sd == pytest.approx(sd)
+
+
+def test_a_fisheye_of_unknown_field_of_view_is_refused():
+    row_px = np.full(64, 20.0)
+    skyline = PhotoSkyline(row_px, np.ones(64), 64, 48, None, Projection.FISHEYE)
+    with pytest.raises(InputError, match="--fov-deg"):
+        Rays.of(skyline, 0.025, finds_fov=True)
+
+
+def test_fields_of_view_of_a_fisheye_are_searched_up_to_half_a_turn():
+    u = np.radians([-80.0, 80.0])
+    rays = Rays(u=u, v=u**2, weight=np.ones(2), fov_deg=160.0, projection=Projection.FISHEYE)
+    assert rays.about(8.0).fov_bounds_deg == (128.0, 180.0)
 
 
 def test_a_panorama_s_scale_is_its_field_of_view_s():

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scenes import candidate_at
 
+from skyline.camera import Projection
 from skyline.match.config import MatchConfig
 from skyline.match.other_projection import OtherProjection
 from skyline.match.rays import Rays
@@ -74,8 +75,8 @@ def test_the_nearer_claim_leaves_half_of_the_doubt(rays, near, roughly, within_m
 
 
 def test_another_projection_joins_other_reasons(rays):
-    likely = OtherProjection("cylindrical", 108.2, 0.9)
-    said = "the skyline is bent as in a panorama of about 108 degrees; if it is one, give "
+    likely = OtherProjection(Projection.CYLINDRICAL, 108.2, 0.9)
+    said = "the skyline is bent as by a panorama of about 108 degrees; if it is one, give "
     said += "--projection cylindrical --fov-deg 108"
     sure = candidate_at(0.0, 0.0, fov_deg=GIVEN_DEG, confidence=0.95, confidence_1km=0.97)
     unsure = replace(sure, confidence=0.1, confidence_1km=0.2)
@@ -87,7 +88,7 @@ def test_another_projection_joins_other_reasons(rays):
 
 def test_a_search_of_several_photos_names_the_one_that_is_bent():
     sure = candidate_at(0.0, 0.0, fov_deg=GIVEN_DEG, confidence=0.95, confidence_1km=0.97)
-    likely = OtherProjection("cylindrical", 108.2, 0.9)
+    likely = OtherProjection(Projection.CYLINDRICAL, 108.2, 0.9)
 
     def joint(*others, count=2):
         return Verdict.of_joint_search([[sure]] * count, others, MatchConfig())

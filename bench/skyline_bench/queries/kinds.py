@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 from scipy import ndimage
 
+from skyline.camera import Projection
 from skyline.errors import InputError
 from skyline.geodesy.map_frame import Rectangle
 from skyline.terrain.heightfield import HeightField
@@ -48,6 +49,10 @@ KINDS: Mapping[str, QueryConfig] = {
     "bent": QueryConfig(distortion_sd=0.03),  # By lenses that are not corrected
     UNMARKED[0]: QueryConfig(fov_deg=(80.0, 180.0), mappings=(CYLINDER,)),
     UNMARKED[1]: QueryConfig(fov_deg=(80.0, 150.0), mappings=FISHEYES),
+    # The same ones, and what they are is said.
+    "fisheyes": QueryConfig(
+        fov_deg=(80.0, 150.0), mappings=FISHEYES, projection=Projection.FISHEYE
+    ),
     "aligned": QueryConfig(
         fov_deg=(90.0, 90.0), fov_error=0.0, max_tilt_deg=0.0, is_aligned=True,
         noise_deg=(0.03, 0.03), masked_share=0.0,

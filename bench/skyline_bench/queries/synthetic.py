@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from scipy import ndimage
 
 from skyline.arrays import Float64Array, IntArray
-from skyline.camera import distorted
+from skyline.camera import Projection, distorted
 from skyline.errors import InputError
 from skyline.geodesy.map_frame import Rectangle
 from skyline.match.rays import Rays
@@ -64,9 +64,10 @@ class QueryConfig:
     """How queries are drawn. A pair is a range to draw from evenly."""
 
     fov_deg: tuple[float, float] = (60.0, 60.0)  # True horizontal field of view
-    # How the camera maps directions to its image; one is drawn. The field of view given is always
-    # a pin-hole camera's: a file that does not say otherwise is taken for a photo of one.
-    mappings: tuple[str, ...] = (PIN_HOLE,)
+    mappings: tuple[str, ...] = (PIN_HOLE,)  # From directions to the image; one is drawn
+    # What the photo is said to be. The field of view given is the one of the pin-hole camera of the
+    # same focal length where that is a perspective photo, whatever took it.
+    projection: Projection = Projection.PERSPECTIVE
     # The field of view given is wrong by up to this share; 0 where it is known.
     fov_error: float = 0.05
     # Standard deviation of the lens's distortion; see `skyline.camera.undistorted`.
@@ -268,10 +269,12 @@ def _photographed(
         found[slice(*run)] = np.nan
     found = _bent(found, camera.height_px, distortion)
     seen_m = np.maximum(horizons.distance_m[index, sample[inside]].astype(np.float64), 1.0)
-    given = camera.pin_hole_fov_deg * (1.0 + errors.uniform(-config.fov_error, config.fov_error))
+    is_told = config.projection is not Projection.PERSPECTIVE
+    told_deg = camera.fov_deg if is_told else camera.pin_hole_fov_deg
+    given = told_deg * (1.0 + errors.uniform(-config.fov_error, config.fov_error))
     sure = np.isfinite(found).astype(np.float64)
     return SyntheticQuery(
-        PhotoSkyline(found, sure, camera.width_px, camera.height_px, given),
+        PhotoSkyline(found, sure, camera.width_px, camera.height_px, given, config.projection),
         given,
         config.fov_sd_share,
         truth,
