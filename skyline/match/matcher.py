@@ -52,8 +52,8 @@ class Matcher(Releasable):
     Parameters
     ----------
     store : path or paths
-        Several stores, of one DEM and configuration, are searched as one: they are merged into a
-        temporary file, as `skyline.store.merge.merge_stores` does.
+        Several stores, of one DEM and configuration, are searched as the one store that
+        `skyline.store.merge.merge_stores` writes of them.
     dem : path, paths or HeightField, optional
         The DEM that the store was rendered from; by default it is read from the file that the store
         names. The full matcher takes heights from it, and renders it for refinement. If it cannot

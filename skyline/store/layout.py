@@ -55,7 +55,7 @@ MADE_BY = {RENDERINGS: "`skyline render`", PLACES: "`skyline build`"}
 EYE = ("easting_m", "northing_m", "eye_elevation_m")
 """The fields that locate the eye of a row of either kind."""
 
-_PLACES_A_CHUNK = 1024
+PLACES_A_CHUNK = 1024
 """Number of places in a chunk, some 0.7 MB: a search works on one chunk at a time."""
 
 _VIEWS_A_CHUNK = 32
@@ -202,7 +202,7 @@ class StoreHeader:
 
     def chunk_rows(self, rows: int) -> int:
         """Return the number of rows in a chunk, for ``rows`` in all."""
-        return max(1, min(rows, _VIEWS_A_CHUNK if self.holds == RENDERINGS else _PLACES_A_CHUNK))
+        return max(1, min(rows, _VIEWS_A_CHUNK if self.holds == RENDERINGS else PLACES_A_CHUNK))
 
     def layout(self, name: str, rows: int) -> dict[str, Any]:
         """Return h5py's settings for a dataset of ``rows`` rows."""

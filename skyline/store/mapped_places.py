@@ -1,9 +1,9 @@
-"""Reading places from a store's file that is mapped into memory."""
+"""Reading places from files of stores that are mapped into memory."""
 
 import mmap
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 
 from skyline.arrays import Int64Array, IntArray, UInt8Array
 from skyline.errors import InputError, StoreError
-from skyline.store.layout import REBUILD, StoreHeader, checksums_of_bytes
+from skyline.store.layout import PLACES_A_CHUNK, REBUILD, StoreHeader, checksums_of_bytes
 from skyline.store.places import Places
+
+_Read = TypeVar("_Read")
 
 Offsets = dict[str, Int64Array]
 """Byte in the file at which each chunk of a dataset begins, by the dataset's name."""
@@ -122,6 +124,23 @@ class PlaceMap:
                 taken[field][to] = gathered[name]
         return Places(**taken)
 
+    def unverified(self, rows: IntArray) -> Places:
+        """Return copies of places (M,) that exist, as `blocks` does: no checksum is compared.
+
+        Raises
+        ------
+        StoreError
+            The file was cut short since the store was opened.
+        """
+        self._check_length()
+        read: Any = {
+            field: self._bytes_of(name, rows)
+            .view(self._types[name].base)
+            .reshape(len(rows), *self._types[name].shape)
+            for name, field in self._fields.items()
+        }
+        return Places(**read)
+
     def _gathered(self, rows: IntArray) -> NDArray[np.void]:
         """Return some places (M,), each by the names of its datasets; verified."""
         bytes_of = [
@@ -153,5 +172,66 @@ class PlaceMap:
             )
 
 
-PlaceSource = PlaceMap | Places
-"""Places in a file or in memory."""
+class JoinedPlaces:
+    """The places of several stores, in the order of the store that a merge would write.
+
+    Nothing is copied to a file; the order takes 8 bytes a place.
+
+    Parameters
+    ----------
+    maps : sequence of PlaceMap
+    order : (N,) intp
+        Rows of the joined places. They are counted through all maps, one after another.
+    """
+
+    def __init__(self, maps: Sequence[PlaceMap], order: IntArray) -> None:
+        self._maps = maps
+        self._order = order
+        self._starts = np.cumsum([0, *(len(one) for one in maps)])
+
+    def __len__(self) -> int:
+        """Return the number of places."""
+        return len(self._order)
+
+    def blocks(self) -> Iterator[Places]:
+        """Yield all places in order, as the blocks of one store; see `PlaceMap.blocks`.
+
+        The blocks are copies. They are as long as those of one store: a product of matrices may
+        round differently in blocks of another length.
+        """
+        for start in range(0, len(self), PLACES_A_CHUNK):
+            rows = np.arange(start, min(start + PLACES_A_CHUNK, len(self)))
+            yield self._read(rows, PlaceMap.unverified, Places.concatenate)
+
+    def phases(self, rows: IntArray) -> UInt8Array:
+        """Return copies of the phases (M, 180) of places; as `PlaceMap.phases`."""
+        return self._read(rows, PlaceMap.phases, np.concatenate)
+
+    def take(self, rows: NDArray[np.integer[Any]]) -> Places:
+        """Return copies of places ``rows`` (M,) in order; as `PlaceMap.take`."""
+        return self._read(np.asarray(rows, dtype=np.intp), PlaceMap.take, Places.concatenate)
+
+    def _read(
+        self,
+        rows: IntArray,
+        read: Callable[[PlaceMap, IntArray], _Read],
+        concatenate: Callable[[list[_Read]], _Read],
+    ) -> _Read:
+        """Return what ``read`` returns of each map's rows, in the order of ``rows``."""
+        found = self._order[rows]
+        of = np.searchsorted(self._starts, found, side="right") - 1
+        parts = []
+        at = []
+        for number, one in enumerate(self._maps):
+            mine = np.flatnonzero(of == number)
+            if len(mine) or not number:
+                parts.append(read(one, found[mine] - self._starts[number]))
+                at.append(mine)
+        back: Any = np.argsort(np.concatenate(at), kind="stable")
+        together: Any = concatenate(parts)
+        joined: _Read = together[back]
+        return joined
+
+
+PlaceSource = PlaceMap | JoinedPlaces | Places
+"""Places in a file, in several files or in memory."""

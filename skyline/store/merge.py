@@ -10,17 +10,20 @@ row of the denser plan is kept: it represents less ground.
 import os
 import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from skyline.arrays import IntArray
 from skyline.errors import InputError, StoreError
 from skyline.geodesy.bounds import Bounds
 from skyline.store.check import Damage, StoreReport, whole_rows
-from skyline.store.layout import Columns, StoreHeader, explained, refuse_mismatch
+from skyline.store.layout import EYE, PLACES, Columns, StoreHeader, explained, refuse_mismatch
+from skyline.store.mapped_places import JoinedPlaces
 from skyline.store.read import Store, open_store
 from skyline.store.write import check_store_path, write_store
 
@@ -76,6 +79,15 @@ def merged_rows(
 
     The rows wait in a nameless file in ``folder``, unpacked. Raises as `merge_stores`.
     """
+    counted, merged = _counted(paths)
+    with _gathered(counted, merged, folder) as columns:
+        yield merged, columns, sorted_once(merged, columns)
+
+
+def _counted(
+    paths: Sequence[str | os.PathLike[str]],
+) -> tuple[list[tuple[Path, int]], StoreHeader]:
+    """Return stores' paths, lengths and joint header; raises as `merge_stores`."""
     counted: list[tuple[Path, int]] = []
     headers: list[StoreHeader] = []
     for path in paths:
@@ -94,9 +106,7 @@ def merged_rows(
             "far around them",
             (f"in {one.name}", f"in {other.name}"),
         )
-    merged = _merged_header(headers)
-    with _gathered(counted, merged, folder) as columns:
-        yield merged, columns, sorted_once(merged, columns)
+    return counted, _merged_header(headers)
 
 
 def _merged_header(headers: Sequence[StoreHeader]) -> StoreHeader:
@@ -124,15 +134,53 @@ def _joint_boxes(boxes_deg: Sequence[list[Bounds] | None]) -> Bounds | list[Boun
     return sorted(joint) if len(joint) > 1 else joint.pop()
 
 
+class JoinedStore(Store):
+    """Several stores of places, read as the store that `merge_stores` would write.
+
+    No row is copied to a file. The rows' eyes and tolerances are read to sort them.
+    """
+
+    def __init__(self, paths: Sequence[str | os.PathLike[str]]) -> None:
+        """Open and check the stores; raises as `merge_stores`."""
+        counted, self.header = _counted(paths)
+        self.path = counted[0][0]
+        self._resources = ExitStack()
+        with ExitStack() as opened:
+            self._stores = [opened.enter_context(open_store(path)) for path, _ in counted]
+            self.expect(PLACES)
+            named = self.header.fields
+            keys = {named[field]: self._columns(named[field]) for field in (*EYE, "tolerance_m")}
+            self._order = sorted_once(self.header, keys)
+            self._rows = len(self._order)
+            self._resources = opened.pop_all()
+
+    def places(self) -> JoinedPlaces:
+        """Map the places of all stores; see `Store.places`."""
+        return JoinedPlaces([store.places() for store in self._stores], self._order)
+
+    def _read(self, name: str, rows: IntArray) -> NDArray[Any]:
+        return self._columns(name)[self._order[rows]]
+
+    def _columns(self, name: str) -> NDArray[Any]:
+        """Return a dataset of all stores, one after another; raises `StoreError`."""
+        return np.concatenate([store.stored_as(name) for store in self._stores])
+
+
 @contextmanager
 def open_joined(paths: Sequence[str | os.PathLike[str]]) -> Iterator[Store]:
     """Open a store, or several as the store that `merge_stores` writes.
 
-    Several are merged into a temporary file, which disappears once its reader is closed. Raises as
-    `open_store` and `merge_stores`.
+    Stores of renderings are merged into a temporary file, which disappears once its reader is
+    closed: their rows are packed, and to read them in another order would unpack each chunk many
+    times. Raises as `open_store` and `merge_stores`.
     """
-    if len(paths) == 1:
-        with open_store(paths[0]) as store:
+    with open_store(paths[0]) as first:
+        holds = first.header.holds
+        if len(paths) == 1:
+            yield first
+            return
+    if holds == PLACES:
+        with JoinedStore(paths) as store:
             yield store
         return
     with tempfile.TemporaryDirectory(prefix="skyline-") as folder:

@@ -36,7 +36,7 @@ from skyline.store.layout import (
     explained,
     read_header,
 )
-from skyline.store.mapped_places import PlaceMap
+from skyline.store.mapped_places import JoinedPlaces, PlaceMap
 from skyline.store.xarray_export import dataset_of_places, dataset_of_views, table_of_places
 from skyline.terrain.heightfield import facts_html
 from skyline.terrain.viewpoints import Viewpoints
@@ -135,6 +135,10 @@ class Store:
         rows = self._indexed(index)
         return {name: self._read(name, rows) for name in self.header.specs}
 
+    def stored_as(self, name: str) -> NDArray[Any]:
+        """Read all rows of one dataset; raises as `views`."""
+        return self._read(name, self._indexed(slice(None)))
+
     def keypoint_columns(self, index: RowIndex = slice(None)) -> KeypointColumns:
         """Read keypoints (N, K) uint16, padded with 65535; otherwise as `views`."""
         self.expect(RENDERINGS)
@@ -149,7 +153,7 @@ class Store:
         }
         return Viewpoints(**read)
 
-    def places(self) -> PlaceMap:
+    def places(self) -> PlaceMap | JoinedPlaces:
         """Map the places of a store, which may be closed afterwards.
 
         Raises
