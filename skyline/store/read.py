@@ -154,7 +154,11 @@ class Store:
         return Viewpoints(**read)
 
     def places(self) -> PlaceMap | JoinedPlaces:
-        """Map the places of a store, which may be closed afterwards.
+        """Map the places of a store, which may be closed afterwards; raises as `place_map`."""
+        return self.place_map()
+
+    def place_map(self) -> PlaceMap:
+        """Map the places of this one file.
 
         Raises
         ------
