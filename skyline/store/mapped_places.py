@@ -124,7 +124,7 @@ class PlaceMap:
                 taken[field][to] = gathered[name]
         return Places(**taken)
 
-    def unverified(self, rows: IntArray) -> Places:
+    def _unverified(self, rows: IntArray) -> Places:
         """Return copies of places (M,) that exist, as `blocks` does: no checksum is compared.
 
         Raises
@@ -172,7 +172,7 @@ class PlaceMap:
             )
 
 
-class JoinedPlaces:
+class JoinedPlaces(PlaceMap):
     """The places of several stores, in the order of the store that a merge would write.
 
     Nothing is copied to a file; the order takes 8 bytes a place.
@@ -201,7 +201,7 @@ class JoinedPlaces:
         """
         for start in range(0, len(self), PLACES_A_CHUNK):
             rows = np.arange(start, min(start + PLACES_A_CHUNK, len(self)))
-            yield self._read(rows, PlaceMap.unverified, Places.concatenate)
+            yield self._read(rows, PlaceMap._unverified, Places.concatenate)
 
     def phases(self, rows: IntArray) -> UInt8Array:
         """Return copies of the phases (M, 180) of places; as `PlaceMap.phases`."""
@@ -233,5 +233,5 @@ class JoinedPlaces:
         return joined
 
 
-PlaceSource = PlaceMap | JoinedPlaces | Places
-"""Places in a file, in several files or in memory."""
+PlaceSource = PlaceMap | Places
+"""Places in files or in memory."""

@@ -156,7 +156,7 @@ class JoinedStore(Store):
 
     def places(self) -> JoinedPlaces:
         """Map the places of all stores; see `Store.places`."""
-        return JoinedPlaces([store.place_map() for store in self._stores], self._order)
+        return JoinedPlaces([store.places() for store in self._stores], self._order)
 
     def _read(self, name: str, rows: IntArray) -> NDArray[Any]:
         return self._columns(name)[self._order[rows]]

@@ -36,7 +36,7 @@ from skyline.store.layout import (
     explained,
     read_header,
 )
-from skyline.store.mapped_places import JoinedPlaces, PlaceMap
+from skyline.store.mapped_places import PlaceMap
 from skyline.store.xarray_export import dataset_of_places, dataset_of_views, table_of_places
 from skyline.terrain.heightfield import facts_html
 from skyline.terrain.viewpoints import Viewpoints
@@ -153,12 +153,8 @@ class Store:
         }
         return Viewpoints(**read)
 
-    def places(self) -> PlaceMap | JoinedPlaces:
-        """Map the places of a store, which may be closed afterwards; raises as `place_map`."""
-        return self.place_map()
-
-    def place_map(self) -> PlaceMap:
-        """Map the places of this one file.
+    def places(self) -> PlaceMap:
+        """Map the places of a store, which may be closed afterwards.
 
         Raises
         ------
