@@ -97,7 +97,7 @@ class Projection(StrEnum):
 
     @property
     def _fov_hint(self) -> str:
-        """What fields of view there are."""
+        """Fields of view of such photos, in words."""
         if self.is_panorama:
             return "a full turn is the most"
         if self is Projection.FISHEYE:
@@ -223,7 +223,8 @@ def distorted(
     """
     if distortion == 0.0:
         return across, above
-    # A fisheye's is that of a lens at another scale: r (1 - k) (1 + k / (1 - k) r^2).
+    # A fisheye's r (1 + k (r^2 - 1)) is a lens's formula, of other factors:
+    # (1 - k) r (1 + k / (1 - k) r^2).
     middle = 1.0 - distortion * _fixed_at(projection)
     across, above, distortion = across / middle, above / middle, distortion / middle
     aim = np.hypot(across, above)

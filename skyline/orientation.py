@@ -202,7 +202,7 @@ class Orientation:
 
     @property
     def _compass_in_words(self) -> str | None:
-        """What the compass says, where it is off by more than is usual."""
+        """A sentence on the photo's compass, if it is off by more than usual."""
         noted = self.skyline.noted
         off_deg = self.heading_off_deg
         usual_deg = _DOUBTS.compass_sds * noted_heading_sd_deg(noted)
@@ -428,7 +428,7 @@ class Orienter(Releasable):
         return poses[np.argsort(poses.cost, kind="stable")]
 
     def _prior(self, noted: NotedPlace, standing: Standing, narrowing: Narrowing) -> Prior:
-        """Return what is known of a photo's pose."""
+        """Return the prior of a photo's pose."""
         return Prior(narrowing, self.frame, noted=self._known(noted, standing))
 
     def _refinement(self, rays: Rays, prior: Prior, standing: Standing) -> "_RefinementByHeading":

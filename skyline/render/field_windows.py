@@ -52,9 +52,9 @@ class GpuLimits:
     window_cells: int = 2048
     """Cells along a side of the windows of larger fields."""
     resident_samples: int = 1 << 27
-    """Number of samples whose windows stay on the GPU, at some 43 bytes a sample: 5.8 GB, which
-    hold 650,000 km2 of a model of 70 m. To load windows anew takes seconds, for each few hundred
-    views of a build."""
+    """Number of samples whose windows stay on the GPU, at some 43 bytes a sample: 5.8 GB hold
+    650,000 km2 of a model of 70 m. A build that loads windows anew for each few hundred views
+    spends nearly all its time on that."""
     result_bytes: int = 1 << 26
     """Bytes of the results of the views that are rendered together."""
 

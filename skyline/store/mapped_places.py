@@ -217,7 +217,7 @@ class JoinedPlaces(PlaceMap):
         read: Callable[[PlaceMap, IntArray], _Read],
         concatenate: Callable[[list[_Read]], _Read],
     ) -> _Read:
-        """Return what ``read`` returns of each map's rows, in the order of ``rows``."""
+        """Read joined rows (M,) from their maps, and return them in order."""
         found = self._order[rows]
         of = np.searchsorted(self._starts, found, side="right") - 1
         parts = []

@@ -51,6 +51,15 @@ class LabelTask:
     """Whether the skyline of the elevation model is drawn, too."""
 
 
+@dataclass(frozen=True, slots=True)
+class _HeldCamera:
+    """The camera of a photo, as it is known or was found."""
+
+    pose: Pose
+    confidence: float | None = None
+    """Probability that its heading is right; None where that is not doubted."""
+
+
 def label_photo(task: LabelTask, listener: Listener) -> str:
     """Write the names of a photo's summits on a copy of it.
 
@@ -79,39 +88,39 @@ def label_photo(task: LabelTask, listener: Listener) -> str:
         terrain = read_dem(task.dem, DemOptions(crs=task.crs))
     gazetteer = read_peaks(task.peaks, terrain.frame)
     with Viewer(terrain, gazetteer) as viewer:
-        pose, confidence = _pose_of(task, photo, noted, viewer, listener)
+        camera = _camera_of(task, photo, noted, viewer, listener)
         with listener.slow("looking for summits"):
-            seen = viewer.summits(pose, photo)
-            unnamed = _write(task, picture.rgb, photo, (pose, confidence), seen, viewer)
+            seen = viewer.summits(camera.pose, photo)
+            unnamed = _write(task, picture.rgb, photo, camera, seen, viewer)
     missing = sorted(set(gazetteer.names) - {one.name for one in seen})
     hidden = f"; hidden or outside the photo: {some_of(missing)}" if missing else ""
     return f"{len(seen)} of {len(gazetteer)} peaks are seen{unnamed}{hidden}"
 
 
-def _pose_of(
+def _camera_of(
     task: LabelTask,
     photo: PhotoSkyline,
     noted: NotedPose | None,
     viewer: Viewer,
     listener: Listener,
-) -> tuple[Pose, float | None]:
-    """Return the noted pose, else the one that fits, with its confidence if it is not sure.
+) -> _HeldCamera:
+    """Return the camera in the noted pose, else in the one that fits.
 
     Raises `InputError` if the pose that fits is more likely wrong than right.
     """
     if noted is not None:
-        return shown_pose(noted, viewer, listener), None
+        return _HeldCamera(shown_pose(noted, viewer, listener))
     with listener.slow("orienting the camera"), orienters(viewer.terrain) as orienter_at:
         orienter = orienter_at(task.at.place_of(photo, str(task.photo)))
-        held = orienter.orient(photo, name=str(task.photo), heading_deg=task.at.heading_deg)
-    if held.likely is None:
+        found = orienter.orient(photo, name=str(task.photo), heading_deg=task.at.heading_deg)
+    if found.likely is None:
         raise InputError(
-            f"{task.photo}: the camera's direction is not sure ({held.refusal}); give about where "
+            f"{task.photo}: the camera's direction is not sure ({found.refusal}); say about where "
             "it looked with --heading and --heading-slack, or its pose with --pose"
         )
-    for line in held.to_text().splitlines():
+    for line in found.to_text().splitlines():
         listener.note(line)
-    return held.likely, held.confidence if held.refusal else None
+    return _HeldCamera(found.likely, found.confidence if found.refusal else None)
 
 
 def shown_pose(noted: NotedPose, viewer: Viewer, listener: Listener) -> Pose:
@@ -129,24 +138,21 @@ def _write(
     task: LabelTask,
     rgb: UInt8Array,
     photo: PhotoSkyline,
-    held: tuple[Pose, float | None],
+    camera: _HeldCamera,
     seen: list[SeenPeak],
     viewer: Viewer,
 ) -> str:
-    """Write the file; return how many names no font draws, in words.
-
-    ``held`` is the pose, and its confidence where it is not sure.
-    """
+    """Write the file; return how many names no font draws, in words."""
     from skyline.report.overlay import draw_labels  # noqa: PLC0415  (slow to load)
 
     kind = LABEL_FILES[suffix_of(task.output, LABEL_FILES)]
-    pose, confidence = held
+    confidence = camera.confidence
     if kind == "json":
         unsure = {} if confidence is None else {"confidence": confidence}
         records = [{name: getattr(one, name) for name in _COLUMNS} | unsure for one in seen]
         write_whole(task.output, json.dumps(records, indent=1) + "\n")
         return ""
-    sight = viewer.look(pose, photo) if task.ridges else None
+    sight = viewer.look(camera.pose, photo) if task.ridges else None
     if confidence is not None:
         seen = [one.doubted(confidence) for one in seen]
     picture, unnamed = draw_labels(photo, rgb, seen, sight, kind)

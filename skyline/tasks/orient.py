@@ -12,7 +12,7 @@ from skyline.terrain.heightfield import HeightField
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraAt:
-    """What is known of where cameras stood, and where they looked."""
+    """Known position and heading of cameras."""
 
     lonlat_deg: tuple[float, float] | None = None
     """By default each photo's own GPS position."""

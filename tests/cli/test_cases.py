@@ -51,9 +51,9 @@ def oriented(run, cases, davos):
     folder, truths = cases
     lat_lon = numbers_in(truths["unmarked_panorama_110.jpg"][1])[:2]
 
-    def orient(name, *told):
+    def orient(name, *options):
         at = ",".join(map(str, lat_lon))
-        done = run("orient", folder / name, "--at", at, "--dem", davos, *told, "--json")
+        done = run("orient", folder / name, "--at", at, "--dem", davos, *options, "--json")
         return json.loads(done.ok().out)
 
     return orient

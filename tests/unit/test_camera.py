@@ -168,7 +168,7 @@ def test_quick_derivatives_are_exact_at_the_horizon_and_near_it_to_first_order(p
 
 
 def fisheye(**given):
-    """Return a level fisheye of half a turn, 181 px square: 1 degree a pixel."""
+    """Return a level fisheye of half a turn, 180 px square: 1 degree a pixel."""
     size = {"width_px": 180, "height_px": 180, "fov_deg": 180.0}
     held = {"grid_heading_deg": 90.0, "pitch_deg": 0.0, "roll_deg": 0.0}
     return Camera(projection=FISHEYE, **{**size, **held, **given})
@@ -200,7 +200,7 @@ def test_what_is_right_behind_a_fisheye_is_not_on_its_picture():
 
 
 def test_a_fisheye_s_distortion_keeps_its_field_of_view():
-    # An equisolid fisheye of half a turn: the radius is the sine of half the angle, over sin(45).
+    # The middle and the side stay, and half way out 0.5 becomes 0.5 + 0.1 (0.125 - 0.5).
     r = np.array([0.0, 0.5, 1.0])
     across, above = undistorted(r, 0.0 * r, 0.1, FISHEYE)
     assert_allclose(across, r + 0.1 * (r**3 - r))

@@ -49,7 +49,7 @@ KINDS: Mapping[str, QueryConfig] = {
     "bent": QueryConfig(distortion_sd=0.03),  # By lenses that are not corrected
     UNMARKED[0]: QueryConfig(fov_deg=(80.0, 180.0), mappings=(CYLINDER,)),
     UNMARKED[1]: QueryConfig(fov_deg=(80.0, 150.0), mappings=FISHEYES),
-    # The same ones, and what they are is said.
+    # The photos of the kind before, matched with their projection and field of view.
     "fisheyes": QueryConfig(
         fov_deg=(80.0, 150.0), mappings=FISHEYES, projection=Projection.FISHEYE
     ),

@@ -65,8 +65,8 @@ class QueryConfig:
 
     fov_deg: tuple[float, float] = (60.0, 60.0)  # True horizontal field of view
     mappings: tuple[str, ...] = (PIN_HOLE,)  # From directions to the image; one is drawn
-    # What the photo is said to be. The field of view given is the one of the pin-hole camera of the
-    # same focal length where that is a perspective photo, whatever took it.
+    # The projection given to the matcher. With `PERSPECTIVE`, whatever camera took the photo, the
+    # field of view given is a pin-hole camera's of the same focal length.
     projection: Projection = Projection.PERSPECTIVE
     # The field of view given is wrong by up to this share; 0 where it is known.
     fov_error: float = 0.05
