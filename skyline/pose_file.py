@@ -31,6 +31,9 @@ def read_pose(path: Path, photo: Path, projection: Projection) -> NotedPose:
         record = record.get("answer") or candidates[0]
     elif isinstance(record, dict) and record.get("refusal"):
         doubt = f"the pose in {path} is not trusted: {printable(str(record['refusal']))}"
+    if isinstance(record, dict) and "trusted" in record:
+        # An orientation has its eye's elevation, and also the height that follows from it.
+        record = {**record, "eye_height_m": None}
     return replace(NotedPose.from_dict(record, projection, f"pose {path}"), doubt=doubt)
 
 

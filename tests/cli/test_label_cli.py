@@ -67,6 +67,17 @@ def test_one_command_names_the_mountains_seen_from_a_place(run, dem, photo, pose
         assert abs(by_pose[name]["column_px"] - by_place[name]["column_px"]) < 10.0
 
 
+def test_the_pose_that_orient_prints_is_read(run, dem, photo, pose, tmp_path):
+    at = "{lon},{lat}".format(**json.loads(pose.read_text()))
+    printed = run("orient", photo, "--at", at, "--dem", dem, "--fov-deg", 60, "--json").ok().out
+    oriented, places = tmp_path / "oriented.json", tmp_path / "places.npz"
+    oriented.write_text(printed)
+    common = "pixels", photo, "--dem", dem, "--step", 20, "-o", places
+    run(*common, "--pose", oriented).ok()
+    with np.load(places) as file:
+        assert np.isfinite(file["distance_m"]).any()
+
+
 def test_a_photo_that_does_not_fit_its_place_has_no_names(run, dem, photo, peaks, tmp_path):
     elsewhere = "{},{}".format(*lonlat_of(dem, 600_900.0, 5_177_000.0))
     out = tmp_path / "names.json"
