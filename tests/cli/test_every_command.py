@@ -223,6 +223,15 @@ def test_a_match_that_is_stopped_keeps_what_it_has_written(
     assert "trace.csv" not in again.out
 
 
+@pytest.fixture
+def listening():
+    """Listen to Ctrl-C, which a shell lets the jobs in its background ignore."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("listening")
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 def test_an_interrupt_that_python_drops_ends_the_next_step_of_progress():
     """Python drops one that arrives while it clears away a dead weak reference."""
