@@ -253,13 +253,16 @@ class TestAreas:
 
 
 BUILD = """
-import sys
+import signal
 import time
 from pathlib import Path
 from skyline import read_dem
 from skyline.survey.build import build_store
 from skyline.survey.part_files import PartSize
 from skyline.survey.plans import JobSize, PlacePlan
+
+# A shell lets the jobs in its background ignore Ctrl-C.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 def progress(done, total):
     print(done, flush=True)
