@@ -52,8 +52,11 @@ class BentImages:
     columns_per_bin: float = 0.8
     """Columns for each of the solver's steps of azimuth, where a perspective photo has the most.
     The solver averages no two of them in any projection, so the costs are of the same columns."""
-    widest_fisheye_deg: float = 156.0
-    """Largest field of view of a fisheye from which a fit starts."""
+    fisheye_term: float = -1.0 / 24.0
+    """Mean of t in the mapping of fisheyes, see `skyline.match.rays.CameraModel.fisheye_sd`: half
+    way from an equidistant lens to a stereographic one."""
+    widest_radius: float = 1.5
+    """Largest radius at the side of a fisheye from which a fit starts: 156 degrees."""
     least_fov_share: float = 0.75
     """Smallest field of view that is tried, as a share of the one at the perspective fit's scale.
     """
@@ -172,12 +175,16 @@ def _fisheye(columns: Rays) -> Rays:
 
     The image has the same scale in its middle, unless it would be too wide.
     """
-    shrink = min(1.0, math.radians(_BENT.widest_fisheye_deg) / 2.0 / columns.half_width)
-    fov_deg = math.degrees(2.0 * shrink * columns.half_width)
+    shrink = min(1.0, _BENT.widest_radius / columns.half_width)
+    u = shrink * columns.u
+    v = shrink * columns.v
+    bend = 1.0 + _BENT.fisheye_term * (u**2 + v**2)
+    side = shrink * columns.half_width
+    fov_deg = math.degrees(2.0 * side * (1.0 + _BENT.fisheye_term * side**2))
     return replace(
         columns,
-        u=shrink * columns.u,
-        v=shrink * columns.v,
+        u=u * bend,
+        v=v * bend,
         fov_deg=fov_deg,
         fov_range_deg=_range_deg(fov_deg, MAX_FISHEYE_DEG),
         projection=Projection.FISHEYE,
