@@ -1,10 +1,13 @@
 """Types of arrays for hints, and a base of dataclasses of arrays."""
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import Any, Self, cast
 
 import numpy as np
 from numpy.typing import NDArray
+
+from skyline.errors import InputError
 
 FloatArray = NDArray[np.floating]
 Float64Array = NDArray[np.float64]
@@ -22,6 +25,25 @@ Progress = Callable[[int, int], None]
 
 Index = slice | NDArray[np.integer] | BoolArray
 """An index of rows: a slice, row numbers or a mask."""
+
+
+def refuse_text(**given: object) -> None:
+    """Raise `InputError` for a named value that is text, or has text among its numbers.
+
+    NumPy would read "9.85" as a number, and other libraries end in the middle of a calculation.
+    """
+    for name, value in given.items():
+        if value is None or isinstance(value, float | int):
+            continue
+        values: list[object] = []
+        with suppress(ValueError):  # Lists of uneven lengths are refused later.
+            array = np.asarray(value)
+            values = array.ravel().tolist() if array.dtype.kind in "SUO" else []
+        for text in values:
+            if isinstance(text, str | bytes):
+                raise InputError(
+                    f"{name} has the text {text!r:.40}; expected numbers: convert it by float()"
+                )
 
 
 class Rows:

@@ -264,7 +264,7 @@ def horizon(  # noqa: PLR0913  (independent conditions)
 
     Parameters
     ----------
-    terrain : path, paths or HeightField
+    terrain : path, paths, DataArray or HeightField
         The elevation model; read it once with `read_dem` for several calls.
     lon, lat : array_like, degrees (WGS 84), broadcast to N places
     eye_height_m : array_like, metres above ground
@@ -272,7 +272,7 @@ def horizon(  # noqa: PLR0913  (independent conditions)
         Step between azimuths; the first azimuth is true north.
     curvature : Curvature, optional
         Defaults to the Earth's with k = 0.13.
-    surface : path, paths or HeightField, optional
+    surface : path, paths, DataArray or HeightField, optional
         A surface or canopy model: the height to which trees and houses may rise above the horizon.
     summit_within_m : float, optional
         Move each eye to the highest point within this distance. By default eyes stay in place, and

@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from skyline.arrays import Float64Array
+from skyline.arrays import Float64Array, refuse_text
 from skyline.errors import InputError, printable
 from skyline.geodesy.bounds import in_turn
 from skyline.geodesy.earth import Curvature
@@ -271,7 +271,7 @@ class Orienter(Releasable):
 
     Parameters
     ----------
-    dem : path, paths or HeightField
+    dem : path, paths, DataArray or HeightField
         The elevation model, which must hold all terrain that is seen from the place.
     lon, lat : float
         The place, degrees (WGS 84).
@@ -300,6 +300,7 @@ class Orienter(Releasable):
         elevation_m: float | None = None,
         position_sd_m: float = DEFAULT_POSITION_SD_M,
     ) -> None:
+        refuse_text(elevation_m=elevation_m, position_sd_m=position_sd_m)
         if not 0.0 < position_sd_m <= _SEARCH.most_position_sd_m:
             raise InputError(
                 f"the standard deviation of the position is {position_sd_m:g} m; expected above "

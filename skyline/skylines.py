@@ -11,7 +11,15 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from skyline.arrays import Float32Array, Float64Array, FloatArray, IntArray, Rows, UInt8Array
+from skyline.arrays import (
+    Float32Array,
+    Float64Array,
+    FloatArray,
+    IntArray,
+    Rows,
+    UInt8Array,
+    refuse_text,
+)
 from skyline.errors import InputError
 from skyline.geodesy.earth import Curvature
 
@@ -44,6 +52,7 @@ there lies below the horizon by 0.6 % of the dip."""
 
 def check_width(width: int) -> int:
     """Return ``width``, or raise `InputError` if it is not usable."""
+    refuse_text(width=width)
     if not 2 <= width <= MAX_WIDTH:
         raise InputError(
             f"width is {width} columns; expected 2 to {MAX_WIDTH} (the paper uses {DEFAULT_WIDTH})"

@@ -15,7 +15,7 @@ from threading import Lock
 
 import numpy as np
 
-from skyline.arrays import BoolArray, Float32Array, Float64Array, Progress
+from skyline.arrays import BoolArray, Float32Array, Float64Array, Progress, refuse_text
 from skyline.errors import InputError, suffix_of
 from skyline.files import write_whole
 from skyline.geodesy.bounds import in_turn
@@ -214,7 +214,7 @@ class Viewer(Releasable):
 
     Parameters
     ----------
-    terrain : path, paths or HeightField
+    terrain : path, paths, DataArray or HeightField
         The elevation model.
     peaks : Peaks, optional
         Names of summits.
@@ -270,6 +270,8 @@ class Viewer(Releasable):
         OffMapError
             The place is off the map or on a hole, or the eye is below the ground.
         """
+        refuse_text(heading_deg=heading_deg, pitch_deg=pitch_deg, roll_deg=roll_deg)
+        refuse_text(fov_deg=fov_deg, eye_height_m=eye_height_m)
         ground = stand_at_one(self.terrain, lon=lon, lat=lat, eye_height_m=0.0)
         eye_m = ground.eye_elevation_m + eye_height_m
         eye = at_elevation(self.terrain, ground.easting_m, ground.northing_m, eye_m)
@@ -373,6 +375,7 @@ class Viewer(Releasable):
             The pose is off the map or on a hole.
         """
         photo.projection.check_fov_deg(pose.fov_deg)
+        refuse_text(step=step)
         if step < 1:
             raise InputError(f"the step is {step} pixels; expected 1 or more")
         eye = self._standing(pose)

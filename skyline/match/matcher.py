@@ -54,7 +54,7 @@ class Matcher(Releasable):
     store : path or paths
         Several stores, of one DEM and configuration, are searched as the one store that
         `skyline.store.merge.merge_stores` writes of them.
-    dem : path, paths or HeightField, optional
+    dem : path, paths, DataArray or HeightField, optional
         The DEM that the store was rendered from; by default it is read from the file that the store
         names. The full matcher takes heights from it, and renders it for refinement. If it cannot
         be read, a warning is logged and answers stay unrefined.
@@ -66,7 +66,7 @@ class Matcher(Releasable):
     render_thread : RenderThread, optional
         A thread that renders, so that any thread may match, and several at a time. By default the
         thread that makes the matcher renders, and only that thread may match.
-    surface : path, paths or HeightField, optional
+    surface : path, paths, DataArray or HeightField, optional
         A surface or canopy model: the height to which trees and houses may rise above the DEM's
         skyline. The full matcher uses it in refinement.
 

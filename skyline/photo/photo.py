@@ -6,7 +6,7 @@ import numpy as np
 from PIL import Image, ImageOps
 from PIL.ExifTags import IFD
 
-from skyline.arrays import UInt8Array
+from skyline.arrays import UInt8Array, refuse_text
 from skyline.camera import Projection
 from skyline.errors import InputError
 from skyline.photo.image import Picture, name_of, opened_image, rgb_of, shrink_if_large
@@ -84,6 +84,7 @@ def read_photo(
         The file cannot be decoded, or is a sliver.
     """
     projection = None if projection is None else Projection(projection)
+    refuse_text(fov_deg=fov_deg)
     check_fov(fov_deg, projection)
     name = name_of(path)
     with opened_image(path) as image:

@@ -28,6 +28,7 @@ from skyline.skylines import (
     quadrant_azimuths_rad,
 )
 from skyline.terrain.data_edge import DataEdge
+from skyline.terrain.dem import Dem, read_dem
 from skyline.terrain.heightfield import HeightField, ground_of
 from skyline.terrain.viewpoints import Viewpoints, in_four_views
 
@@ -78,15 +79,13 @@ class HorizonRenderer(ColumnRenderer):
         return self._skylines(eyes, heading, np.zeros(len(eyes)))
 
 
-def render_views(
-    terrain: HeightField, viewpoints: Viewpoints, config: RenderConfig | None = None
-) -> Views:
+def render_views(terrain: Dem, viewpoints: Viewpoints, config: RenderConfig | None = None) -> Views:
     """Render skylines of viewpoints to their four headings, as 4 N views.
 
     The headings are grid north, east, south and west.
     """
     config = config or RenderConfig()
-    with HorizonRenderer(terrain, config) as renderer:
+    with HorizonRenderer(read_dem(terrain), config) as renderer:
         return renderer.render(viewpoints)
 
 

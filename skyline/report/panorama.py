@@ -25,8 +25,7 @@ from skyline.report.panorama_view import (
     panorama_view,
     row_count,
 )
-from skyline.terrain.dem import Dem
-from skyline.terrain.heightfield import HeightField
+from skyline.terrain.dem import Dem, read_dem
 from skyline.terrain.surface_model import read_surface
 from skyline.terrain.viewpoints import stand_at_one
 
@@ -67,7 +66,7 @@ _log = logging.getLogger(__name__)
 
 
 def save_panorama(
-    terrain: HeightField,
+    terrain: Dem,
     path: str | Path,
     *,
     lon: float,
@@ -80,13 +79,15 @@ def save_panorama(
 
     Parameters
     ----------
+    terrain : path, paths, DataArray or HeightField
+        The elevation model.
     path : str or Path
         ``.png``, ``.svg`` or ``.pdf``.
     lon, lat : float
         Degrees (WGS 84).
     peaks : Peaks, optional
         Named summits; see `skyline.read_peaks`.
-    surface : path, paths or HeightField, optional
+    surface : path, paths, DataArray or HeightField, optional
         A surface or canopy model: a green line shows how far trees and houses may rise.
 
     Returns
@@ -106,6 +107,7 @@ def save_panorama(
         A surface is given and no OpenGL context can be created.
     """
     suffix_of(path, PANORAMA_SUFFIXES)
+    terrain = read_dem(terrain)
     over = None if surface is None else read_surface(surface, terrain)
     config = config or PanoramaConfig()
     eye = stand_at_one(

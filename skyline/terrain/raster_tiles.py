@@ -95,7 +95,7 @@ def array_tile(array: Any, default_crs: CRS | None) -> Tile:
     """Return the tile in an xarray.DataArray.
 
     The geotransform and the CRS are the ones that rioxarray notes, so that its array of a file has
-    the same heights as the file. Raises `InputError` as `skyline.HeightField.from_xarray`.
+    the same heights as the file. Raises `InputError` as `skyline.read_dem`.
     """
     if not isinstance(array, library("xarray", "a DataArray").DataArray):
         raise no_dem(array)

@@ -5,6 +5,7 @@ from datetime import UTC, date, datetime, timedelta
 import numpy as np
 import pandas as pd
 import pytest
+import rioxarray
 from scenes import at_deg, field_from, fractal, write_dem
 
 from skyline import Curvature, Frame, HeightField, InputError, horizon, read_dem, stand_on
@@ -60,6 +61,16 @@ def test_equals_the_oracle_at_azimuths_from_true_north(rough, step_deg):
             assert clear.mean() > 0.9
             found_m = found.distance_m[index, columns]
             np.testing.assert_allclose(found_m[clear], away_m[clear], rtol=1e-4)
+
+
+def test_a_data_array_stands_for_its_file(tmp_path):
+    path = write_dem(tmp_path / "dem.tif", fractal(60, 60, 400.0, seed=2))
+    lon, lat = places_on(read_dem(path), 2)
+    of_file = horizon(path, lon=lon, lat=lat, step_deg=7.5)
+    with rioxarray.open_rasterio(path) as array:
+        of_array = horizon(array, lon=lon, lat=lat, step_deg=7.5, surface=array)
+    np.testing.assert_array_equal(of_array.elevation_deg, of_file.elevation_deg)
+    np.testing.assert_array_equal(of_array.surface_deg, of_file.elevation_deg)
 
 
 @pytest.mark.parametrize(
