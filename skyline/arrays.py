@@ -1,6 +1,6 @@
 """Types of arrays for hints, and a base of dataclasses of arrays."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from typing import Any, Self, cast
 
@@ -23,8 +23,8 @@ BoolArray = NDArray[np.bool_]
 Progress = Callable[[int, int], None]
 """Called with the number of finished pieces of work, and the number of all pieces."""
 
-Index = slice | NDArray[np.integer] | BoolArray
-"""An index of rows: a slice, row numbers or a mask."""
+Index = int | slice | NDArray[np.integer] | BoolArray
+"""An index of rows: a number, which takes one row, a slice, row numbers or a mask."""
 
 
 def refuse_text(**given: object) -> None:
@@ -57,7 +57,13 @@ class Rows:
     def __len__(self) -> int:
         return len(getattr(self, self._names()[0]))
 
+    def __iter__(self) -> Iterator[Self]:
+        return (self[number] for number in range(len(self)))
+
     def __getitem__(self, index: Index) -> Self:
+        if isinstance(index, int | np.integer):
+            number = range(len(self))[index]
+            index = slice(number, number + 1)
         columns = {
             name: None if column is None else column[index]
             for name, column in self.columns().items()

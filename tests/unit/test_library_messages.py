@@ -247,15 +247,16 @@ class TestHorizons:
     @pytest.mark.parametrize(
         ("chosen", "said"),
         [
-            ((), "there are 3 places and none is chosen; give place=0 to 2"),
-            ((3,), "there are 3 places and place is 3; give place=0 to 2"),
+            ((), "there are 3 places and none is chosen; take one"),
+            ((3,), "there are 3 places and place is 3; take one"),
         ],
     )
-    @pytest.mark.parametrize("method", ["to_series", "plot", "sun_above"])
-    def test_of_several_places(self, method, chosen, said):
-        call = getattr(horizons_of(3), method)
-        day = ("2026-06-21",) if method == "sun_above" else ()
-        assert_says(said, lambda: call(*day, *chosen))
+    def test_of_several_places(self, chosen, said):
+        assert_says(said, lambda: horizons_of(3).sun_above("2026-06-21", *chosen))
+
+    def test_of_a_place_that_is_not_there(self):
+        said = r"0 of 3 places have the id 'B' \(ids: A\); give one of the ids, or lon and lat"
+        assert_says(said, lambda: horizons_of(3, "A").sel("B"))
 
     def test_of_a_place_whose_name_no_font_draws(self, caplog):
         horizons_of(1, UNDRAWN).plot()
