@@ -1,6 +1,6 @@
 """Types of arrays for hints, and a base of dataclasses of arrays."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from typing import Any, Self, cast
 
@@ -22,6 +22,11 @@ BoolArray = NDArray[np.bool_]
 
 Progress = Callable[[int, int], None]
 """Called with the number of finished pieces of work, and the number of all pieces."""
+
+_SHOWN = 4
+"""Items of a list that a printed form shows."""
+_SHOWN_LETTERS = 60
+"""Letters of a value that a printed form shows."""
 
 Index = int | slice | NDArray[np.integer] | BoolArray
 """An index of rows: a number, which takes one row, a slice, row numbers or a mask."""
@@ -46,7 +51,33 @@ def refuse_text(**given: object) -> None:
                 )
 
 
-class Rows:
+class ShortRepr:
+    """Base of dataclasses that are printed in a line, with the shapes of their arrays.
+
+    The dataclass needs ``repr=False``.
+    """
+
+    __slots__ = ()
+
+    def __repr__(self) -> str:
+        names = cast(Any, self).__dataclass_fields__
+        shown = ", ".join(f"{name}={_short(getattr(self, name))}" for name in names)
+        return f"{type(self).__name__}({shown})"
+
+
+def _short(value: object) -> str:
+    """Return a value in a few words."""
+    if isinstance(value, np.ndarray):
+        return f"{value.shape} {value.dtype}"
+    if isinstance(value, float):
+        return f"{value:.7g}"
+    if isinstance(value, tuple | list | Mapping) and len(value) > _SHOWN:
+        return f"({len(value)} items)"
+    text = repr(value)
+    return text if len(text) <= _SHOWN_LETTERS else f"{text[:_SHOWN_LETTERS]}..."
+
+
+class Rows(ShortRepr):
     """Base of dataclasses whose fields are arrays of one length.
 
     A field may also be other `Rows` of that length, or None.

@@ -9,6 +9,8 @@ kinds of coordinates follow one another:
 * *azimuth, elevation*: directions in a level frame, see `level`.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
@@ -63,7 +65,7 @@ class Projection(StrEnum):
     FISHEYE = "fisheye"
 
     @classmethod
-    def _missing_(cls, value: object) -> "Projection":
+    def _missing_(cls, value: object) -> Projection:
         raise InputError(f"projection is {value!r}; expected {', '.join(cls)}")
 
     @property

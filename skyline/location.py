@@ -3,6 +3,8 @@
 The photos or the user name the area in which they are searched.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -13,6 +13,8 @@ fit leaves little doubt about the heading. The weights of these three were learn
 confidence of a match (`skyline.match.confidence`).
 """
 
+from __future__ import annotations
+
 import math
 import time
 from collections.abc import Callable, Iterator
@@ -137,7 +139,7 @@ class _Doubts:
 _DOUBTS = _Doubts()
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Orientation:
     """How a camera was held at a known place.
 
@@ -178,6 +180,18 @@ class Orientation:
     refusal: str | None = None
     lacks_confidence_only: bool = False
     name: str = ""
+
+    def __repr__(self) -> str:
+        pose = self.pose
+        held = "no pose fits"
+        if pose is not None:
+            angles = {"heading": (pose.heading_deg, self.heading_sd_deg)}
+            angles |= {"pitch": (pose.pitch_deg, self.pitch_sd_deg)}
+            angles |= {"roll": (pose.roll_deg, self.roll_sd_deg)}
+            angles |= {"fov": (pose.fov_deg, self.fov_sd_deg)}
+            held = ", ".join(f"{name} {deg:.2f} +- {sd:.2f}" for name, (deg, sd) in angles.items())
+            held += f" degrees, confidence {self.confidence:.2f}"
+        return f"Orientation({held}{f'; not trusted: {self.refusal}' if self.refusal else ''})"
 
     @property
     def answer(self) -> Pose | None:
@@ -324,6 +338,10 @@ class Orienter(Releasable):
         self._retriever = self._retriever_at(elevation_m)
         self._model = confidence.models("orientation.json")[confidence.ORIENTED]
 
+    def __repr__(self) -> str:
+        lon, lat = self.frame.to_lonlat(self._east, self._north)
+        return f"Orienter(lon {lon:.5f}, lat {lat:.5f}, {self.terrain})"
+
     def _around(self, away_m: float) -> Viewpoints:
         """Return eyes at the known place and on a ring around it."""
         ring = away_m * np.exp(2j * np.pi * np.arange(_SEARCH.ring) / _SEARCH.ring)
@@ -432,7 +450,7 @@ class Orienter(Releasable):
         """Return the prior of a photo's pose."""
         return Prior(narrowing, self.frame, noted=self._known(noted, standing))
 
-    def _refinement(self, rays: Rays, prior: Prior, standing: Standing) -> "_RefinementByHeading":
+    def _refinement(self, rays: Rays, prior: Prior, standing: Standing) -> _RefinementByHeading:
         """Return the refinement of a photo's rays, with its prior."""
         return _RefinementByHeading(rays, self._scene, _EFFORT, prior, standing.eye)
 

@@ -1,5 +1,7 @@
 """Sky view factors: the share of the sky's light left by horizons."""
 
+from __future__ import annotations
+
 import math
 
 import numpy as np

@@ -86,7 +86,7 @@ def elevation_deg(v: Float64Array, u: Float64Array) -> Float64Array:
     return np.degrees(np.arctan(v * np.cos(np.arctan(u))))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Views(Rows):
     """N views of W columns each.
 
@@ -243,7 +243,7 @@ def quadrant_azimuths_rad(bins: int) -> Float64Array:
     return np.asarray(steps * (2.0 * np.pi / bins), dtype=np.float64)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Horizons(Rows):
     """The skylines of N eyes in B bins of azimuth.
 

@@ -4,6 +4,8 @@ A pose is a `Pose`; a picture has the size and the projection of a photo. Azimut
 azimuths in degrees, elevations the tangent of the elevation angle: up over horizontal distance.
 """
 
+from __future__ import annotations
+
 import io
 import json
 import math
@@ -12,11 +14,12 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from threading import Lock
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from skyline.arrays import BoolArray, Float32Array, Float64Array, Progress, refuse_text
-from skyline.errors import InputError, suffix_of
+from skyline.arrays import BoolArray, Float32Array, Float64Array, Progress, ShortRepr, refuse_text
+from skyline.errors import InputError, library, suffix_of
 from skyline.files import write_whole
 from skyline.geodesy.bounds import in_turn
 from skyline.geodesy.earth import Curvature
@@ -38,6 +41,11 @@ from skyline.terrain.viewpoints import (
     stand_on,
 )
 
+if TYPE_CHECKING:
+    from geopandas import GeoDataFrame
+    from pandas import DataFrame
+    from xarray import Dataset
+
 PIXEL_FILES = (".npz", ".tif")
 _BANDS = ("distance_m", "lon", "lat", "elevation_m")
 _AROUND = 0.52
@@ -52,8 +60,8 @@ _ROUNDED_M = 0.01
 """An eye that is too low by less than this is rounded."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Sight:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Sight(ShortRepr):
     """The skyline rendered at a pose, compared with a photo's skyline.
 
     Attributes
@@ -98,7 +106,7 @@ class SeenPeak(Sighting):
     column_px: float
     row_px: float
 
-    def doubted(self, confidence: float) -> "SeenPeak":
+    def doubted(self, confidence: float) -> SeenPeak:
         """Return the peak with the probability that its name is right behind the name."""
         return replace(self, name=f"{self.name} ({100.0 * confidence:.0f} %)")
 
@@ -142,8 +150,8 @@ def peaks_in_picture(
     ]
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class PixelPlaces:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+class PixelPlaces(ShortRepr):
     """The terrain that each pixel of a photo shows.
 
     NaN for sky.
@@ -165,6 +173,74 @@ class PixelPlaces:
     lat: Float64Array
     elevation_m: Float32Array
     step: int = 1
+
+    def to_xarray(self) -> Dataset:
+        """Return the places as a dataset, NaN for sky.
+
+        Returns
+        -------
+        xarray.Dataset
+            ``distance_m`` and ``elevation_m`` by ``row_px`` and ``column_px``, with the coordinates
+            ``lon`` and ``lat``.
+
+        Raises
+        ------
+        InputError
+            Xarray is not installed.
+        """
+        row_px, column_px = (self.step * np.arange(count) for count in self.lon.shape)
+        dims = "row_px", "column_px"
+        metres = {"units": "m"}
+        data: Dataset = library("xarray", "a Dataset").Dataset(
+            {
+                "distance_m": (dims, self.distance_m, metres),
+                "elevation_m": (dims, self.elevation_m, metres),
+            },
+            {
+                "lon": (dims, self.lon, {"standard_name": "longitude", "units": "degrees_east"}),
+                "lat": (dims, self.lat, {"standard_name": "latitude", "units": "degrees_north"}),
+                "row_px": ("row_px", row_px, {"units": "px"}),
+                "column_px": ("column_px", column_px, {"units": "px"}),
+            },
+        )
+        return data
+
+    def to_dataframe(self) -> DataFrame:
+        """Return a row for each pixel that shows terrain.
+
+        Returns
+        -------
+        pandas.DataFrame
+            ``column_px``, ``row_px``, ``lon``, ``lat``, ``elevation_m`` and ``distance_m``.
+
+        Raises
+        ------
+        InputError
+            Pandas is not installed.
+        """
+        row, column = np.nonzero(np.isfinite(self.distance_m))
+        columns = {"column_px": self.step * column, "row_px": self.step * row}
+        names = "lon", "lat", "elevation_m", "distance_m"
+        columns |= {name: getattr(self, name)[row, column] for name in names}
+        return library("pandas", "a DataFrame").DataFrame(columns)
+
+    def to_geodataframe(self) -> GeoDataFrame:
+        """Return a point for each pixel that shows terrain.
+
+        Returns
+        -------
+        geopandas.GeoDataFrame
+            Points in EPSG:4326, with the columns of `to_dataframe`.
+
+        Raises
+        ------
+        InputError
+            GeoPandas is not installed.
+        """
+        geopandas = library("geopandas", "a GeoDataFrame")
+        table = self.to_dataframe()
+        points = geopandas.points_from_xy(table["lon"], table["lat"])
+        return geopandas.GeoDataFrame(table, geometry=points, crs="EPSG:4326")
 
     def save(self, path: str | Path, pose: Pose) -> None:
         """Write the places, and the pose from which they are seen.
@@ -242,6 +318,9 @@ class Viewer(Releasable):
         self._thread = render_thread
         self._making = Lock()
         self._scene: RenderedScene | None = None
+
+    def __repr__(self) -> str:
+        return f"Viewer({self.terrain})"
 
     def release(self) -> None:
         """Free the textures and buffers on the GPU."""
@@ -375,7 +454,6 @@ class Viewer(Releasable):
             The pose is off the map or on a hole.
         """
         photo.projection.check_fov_deg(pose.fov_deg)
-        refuse_text(step=step)
         if step < 1:
             raise InputError(f"the step is {step} pixels; expected 1 or more")
         eye = self._standing(pose)

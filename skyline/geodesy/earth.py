@@ -1,5 +1,7 @@
 """The Earth's radius, curvature less refraction, and range of ground."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import numpy as np

@@ -3,6 +3,8 @@
 Inside the program a position is (easting, northing) in one metric frame.
 """
 
+from __future__ import annotations
+
 import math
 from dataclasses import dataclass
 from functools import cached_property
@@ -34,15 +36,18 @@ _LOCAL = "local transverse Mercator"
 _WGS84 = Geod(ellps="WGS84")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Frame:
     """A metric map frame: the DEM's own CRS or a local one."""
 
     wkt: str
     """The CRS as well-known text."""
 
+    def __repr__(self) -> str:
+        return f"Frame({self.name})"
+
     @classmethod
-    def from_crs(cls, crs: object) -> "Frame":
+    def from_crs(cls, crs: object) -> Frame:
         """Return the frame of anything that pyproj understands as a metric CRS.
 
         The vertical axis of a compound or three-dimensional CRS is left out. Raises `InputError`
@@ -57,7 +62,7 @@ class Frame:
         return cls(parsed.to_wkt())
 
     @classmethod
-    def local(cls, *, lon: float, lat: float) -> "Frame":
+    def local(cls, *, lon: float, lat: float) -> Frame:
         """Return the conformal transverse Mercator frame (WGS 84) through a point."""
         refuse_text(lon=lon, lat=lat)
         definition = CRS.from_proj4(

@@ -1,5 +1,7 @@
 """`Matcher`: matches photos to a store, and to the store's terrain."""
 
+from __future__ import annotations
+
 import logging
 import time
 from collections.abc import Iterable, Mapping, Sequence
@@ -122,6 +124,10 @@ class Matcher(Releasable):
     def viewpoints(self) -> Viewpoints:
         """The eyes of the store, or an even selection of very many."""
         return self._method.eyes()
+
+    def __repr__(self) -> str:
+        refined = "answers refined" if self._scene is not None else "answers not refined"
+        return f"Matcher({self.rows} {self.holds}, {refined})"
 
     def release(self) -> None:
         """Free the matcher's GPU memory; it cannot refine after that."""
@@ -262,7 +268,7 @@ class Matcher(Releasable):
         photos: Sequence[Picture | PhotoSkyline],
         fov_deg: float | None,
         narrowings: Sequence[Narrowing | None] | None,
-    ) -> "list[_Photo]":
+    ) -> list[_Photo]:
         """Return the photos of one place; raises `InputError` for fewer than two."""
         if isinstance(photos, str | Path | PhotoSkyline | Image):
             photos = [photos]

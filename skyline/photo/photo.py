@@ -1,12 +1,14 @@
 """A photo as read: its pixels, and its file's notes."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, replace
 
 import numpy as np
 from PIL import Image, ImageOps
 from PIL.ExifTags import IFD
 
-from skyline.arrays import UInt8Array, refuse_text
+from skyline.arrays import ShortRepr, UInt8Array, refuse_text
 from skyline.camera import Projection
 from skyline.errors import InputError
 from skyline.photo.image import Picture, name_of, opened_image, rgb_of, shrink_if_large
@@ -17,8 +19,8 @@ from skyline.photo.xmp import xmp_of
 from skyline.tables import is_table
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Photo:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Photo(ShortRepr):
     """An image file's pixels and the file's notes on the camera.
 
     Attributes

@@ -1,5 +1,7 @@
 """Skylines of photos in pixels, and lenses that their files note."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -143,7 +145,7 @@ class PhotoSkyline:
         likeliest = rows[other.argmax(axis=0), np.arange(self.width_px)]
         return np.where(other.any(axis=0), likeliest, np.nan)
 
-    def with_fov(self, fov_deg: float) -> "PhotoSkyline":
+    def with_fov(self, fov_deg: float) -> PhotoSkyline:
         """Return the same skyline with another horizontal field of view, degrees."""
         return replace(self, fov_deg=fov_deg, lens=None)
 

@@ -3,6 +3,8 @@
 `RenderedScene` renders views of one terrain piece by piece, on the thread that owns the context.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property, partial

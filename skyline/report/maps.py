@@ -4,6 +4,8 @@ Light falls from the north-west. A tile is a part of the Web Mercator map (EPSG:
 span the world, x counts from the west, y from the north.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Sequence
 from typing import Any

@@ -1,5 +1,7 @@
 """Panoramas to print: fading terrain, ridges, a compass and named summits."""
 
+from __future__ import annotations
+
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -186,7 +188,7 @@ class _Row:
     @classmethod
     def of(
         cls, view: PanoramaView, row: int, labels: Sequence[Label[Sighting]], figure: Figure
-    ) -> "_Row":
+    ) -> _Row:
         """Return a row of a view, with its share of the labels.
 
         Its range of elevations is 12 degrees or more, down to 7 degrees below the lowest skyline.

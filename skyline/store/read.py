@@ -4,6 +4,8 @@ A file is a store if its header has the digest that was written with it, its dat
 layout that the header gives, and no dataset keeps bytes in another file.
 """
 
+from __future__ import annotations
+
 import hashlib
 import io
 import json

@@ -10,6 +10,8 @@ store.
 Every job is rendered over the whole DEM, since terrain can rise into a skyline from any distance.
 """
 
+from __future__ import annotations
+
 import logging
 import shutil
 import time

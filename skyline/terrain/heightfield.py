@@ -4,6 +4,8 @@ Each cell between four samples is two triangles, split along the diagonal that j
 and south-east samples. A triangle with a hole (NaN) among its samples is not part of the surface.
 """
 
+from __future__ import annotations
+
 import hashlib
 import math
 from collections.abc import Callable, Mapping

@@ -3,6 +3,8 @@
 They are given as arrays or in a CSV file.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -35,7 +37,7 @@ _EXPECTED = (
 )
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
 class Viewpoints(Rows):
     """N eyes in a DEM's frame.
 

@@ -375,6 +375,8 @@ class TestResults:
         monkeypatch.setitem(sys.modules, "geopandas", None)
         monkeypatch.setitem(sys.modules, "xarray", None)
         assert_says("pip install geopandas", RESULT.to_geodataframe)
+        assert_says("pip install geopandas", horizons_of(2).to_geodataframe)
+        assert_says("pip install xarray", horizons_of(2).to_xarray)
         with open_store(write_rows(tmp_path / "s.h5", 0, 9, HEADERS["places"])) as store:
             assert_says("pip install xarray", store.to_xarray)
             assert_says("pip install geopandas", store.to_geodataframe)

@@ -69,6 +69,13 @@ def functions_of(thing):
 
 
 @pytest.mark.parametrize("name", skyline.__all__)
+def test_help_names_types_and_not_what_they_are_made_of(name):
+    for function in functions_of(getattr(skyline, name)):
+        for parameter in inspect.signature(function).parameters.values():
+            assert len(str(parameter)) <= 150, f"{function.__qualname__}: {parameter}"
+
+
+@pytest.mark.parametrize("name", skyline.__all__)
 def test_types_of_parameters_and_results_are_public_too(name):
     names = ("DemOptions", "MatchResult", "Orientation")
     known = {each: getattr(skyline, each) for each in names} | dict.fromkeys(OPTIONAL, object)
