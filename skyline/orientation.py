@@ -53,7 +53,7 @@ from skyline.photo.noted_place import NotedPlace
 from skyline.photo.read import named_skyline
 from skyline.photo.skyline import PhotoSkyline
 from skyline.pose import Pose, Poses
-from skyline.render.context import Releasable
+from skyline.render.context import Closeable
 from skyline.render.horizon import PanoramaRenderer, RenderConfig, RenderedScene
 from skyline.store.places import BINS, Places
 from skyline.terrain.dem import Dem, read_dem
@@ -278,10 +278,11 @@ class Orientation:
         return "\n  ".join(filter(None, lines))
 
 
-class Orienter(Releasable):
+class Orienter(Closeable):
     """Finds how cameras were held at one place.
 
-    It serves any number of photos from there. Only the thread that makes it may use it.
+    It serves any number of photos from there, in any thread. `close`, or the end of a ``with``
+    block, frees its memory on the GPU.
 
     Parameters
     ----------
@@ -374,10 +375,10 @@ class Orienter(Releasable):
         ground_m = self._around(away_m).eye_elevation_m - DEFAULT_EYE_HEIGHT_M
         return math.sqrt(np.mean((ground_m - self._ground_m) ** 2))
 
-    def release(self) -> None:
+    def close(self) -> None:
         """Free the orienter's GPU memory."""
-        self._scene.release()
-        self._panoramas.release()
+        self._scene.close()
+        self._panoramas.close()
 
     @one_blas_thread()
     def orient(
@@ -568,8 +569,8 @@ def orienters(terrain: HeightField) -> Iterator[Callable[[Place], Orienter]]:
     """Yield a function that returns a place's orienter.
 
     The orienter is reused as long as the place stays the same, as for the frames of a fixed camera.
-    It is released only after the next one is made, so that both share the terrain's textures; the
-    last is released at the end of the block.
+    It is closed only after the next one is made, so that both share the terrain's textures; the
+    last is closed at the end of the block.
     """
     made: dict[Place, Orienter] = {}
 
@@ -580,14 +581,14 @@ def orienters(terrain: HeightField) -> Iterator[Callable[[Place], Orienter]]:
                 terrain, lon=lon, lat=lat, elevation_m=elevation_m, position_sd_m=position_sd_m
             )
             while len(made) > 1:
-                made.pop(next(iter(made))).release()
+                made.pop(next(iter(made))).close()
         return made[place]
 
     try:
         yield orienter_at
     finally:
         for one in made.values():
-            one.release()
+            one.close()
 
 
 class _RefinementByHeading(Refinement):

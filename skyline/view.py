@@ -26,7 +26,7 @@ from skyline.geodesy.earth import Curvature
 from skyline.peaks import Peaks, Sighting, check_on_map, most_prominent_first, visible_peaks
 from skyline.photo.skyline import PhotoSkyline
 from skyline.pose import NotedPose, Pose
-from skyline.render.context import Releasable, RenderThread
+from skyline.render.context import Closeable, RenderThread
 from skyline.render.horizon import RenderConfig, RenderedScene
 from skyline.skylines import HEADINGS, Views
 from skyline.terrain.dem import Dem, read_dem
@@ -282,11 +282,12 @@ class PixelPlaces(ShortRepr):
             write_whole(path, memory.read())
 
 
-class Viewer(Releasable):
+class Viewer(Closeable):
     """The terrain as cameras see it.
 
     It shows skylines, summits and the place in each pixel of a photo. Poses are in the terrain's
-    frame: `pose` makes them, or a matcher of the same elevation model.
+    frame: `pose` makes them, or a matcher of the same elevation model. Any thread may call it;
+    `close`, or the end of a ``with`` block, frees its memory on the GPU.
 
     Parameters
     ----------
@@ -297,8 +298,7 @@ class Viewer(Releasable):
     curvature : Curvature, optional
         Defaults to the Earth's with k = 0.13. A store's header has the curvature of its matcher.
     render_thread : RenderThread, optional
-        A thread that renders, so that any thread may call, with priority over a matcher that
-        renders there too. Without one only the thread that first calls `look` may call it.
+        A thread that renders, with priority over a matcher that renders there too.
     """
 
     def __init__(
@@ -322,10 +322,10 @@ class Viewer(Releasable):
     def __repr__(self) -> str:
         return f"Viewer({self.terrain})"
 
-    def release(self) -> None:
+    def close(self) -> None:
         """Free the textures and buffers on the GPU."""
         if self._scene is not None:
-            self._scene.release()
+            self._scene.close()
 
     def pose(
         self,

@@ -29,7 +29,7 @@ from skyline.photo.read import named_skyline
 from skyline.photo.skyline import PhotoSkyline
 from skyline.plugins import load
 from skyline.pose import Pose
-from skyline.render.context import Releasable, RenderThread
+from skyline.render.context import Closeable, RenderThread
 from skyline.render.horizon import RenderConfig, RenderedScene
 from skyline.store.layout import StoreHeader
 from skyline.store.merge import open_joined
@@ -48,8 +48,10 @@ _ALONE = "no other photo shows enough skyline to be compared with it"
 FULL = "full"
 
 
-class Matcher(Releasable):
+class Matcher(Closeable):
     """Matches skylines to a store, which is read once.
+
+    Any thread may match. `close`, or the end of a ``with`` block, frees the memory on the GPU.
 
     Parameters
     ----------
@@ -66,8 +68,9 @@ class Matcher(Releasable):
     config : MatchConfig, optional
         Settings of the search, and the confidence from which there is an answer.
     render_thread : RenderThread, optional
-        A thread that renders, so that any thread may match, and several at a time. By default the
-        thread that makes the matcher renders, and only that thread may match.
+        A thread that renders, for programs that also render something more urgent, as a page does:
+        it comes between the pieces of a match. Any thread may match, and several at a time, with or
+        without it.
     surface : path, paths, DataArray or HeightField, optional
         A surface or canopy model: the height to which trees and houses may rise above the DEM's
         skyline. The full matcher uses it in refinement.
@@ -129,10 +132,10 @@ class Matcher(Releasable):
         refined = "answers refined" if self._scene is not None else "answers not refined"
         return f"Matcher({self.rows} {self.holds}, {refined})"
 
-    def release(self) -> None:
+    def close(self) -> None:
         """Free the matcher's GPU memory; it cannot refine after that."""
         if self._scene is not None:
-            self._scene.release()
+            self._scene.close()
 
     def match(
         self,

@@ -13,7 +13,7 @@ from skyline.errors import InputError, swapped_in_words
 from skyline.geodesy.bounds import Bounds, are_bounds, check_bounds
 from skyline.geodesy.earth import Curvature
 from skyline.geodesy.map_frame import Rectangle
-from skyline.render.context import Releasable
+from skyline.render.context import Closeable
 from skyline.render.horizon import HorizonRenderer, PanoramaRenderer, RenderConfig
 from skyline.render.march import ColumnRenderer
 from skyline.skylines import Views, pixel_size, polyline_vertices
@@ -59,7 +59,7 @@ class JobSize:
 
 
 @dataclass(frozen=True, slots=True)
-class JobRenderer(Releasable):
+class JobRenderer(Closeable):
     """Renders jobs of one plan."""
 
     renderer: ColumnRenderer
@@ -78,9 +78,9 @@ class JobRenderer(Releasable):
     expected: int = 0
     """About how many rows the jobs of the plan render; 0 where each job is given as viewpoints."""
 
-    def release(self) -> None:
+    def close(self) -> None:
         """Free the renderer's memory on the GPU."""
-        self.renderer.release()
+        self.renderer.close()
 
 
 @dataclass(frozen=True, slots=True)

@@ -246,7 +246,7 @@ def test_a_sure_answer_of_the_first_short_list_ends_the_search(terrain, monkeypa
     scene = RenderedScene(terrain, RenderConfig(360))
     matcher = search.FullMatcher(places, None, scene)
     matcher.found(rays(3, 77.0), NOTHING_KNOWN, lambda step, share: steps.append(step))
-    scene.release()
+    scene.close()
     assert [step for step, _ in groupby(steps)] == ["screening", *["fitting", "refining"] * lists]
 
 
