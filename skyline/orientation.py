@@ -20,7 +20,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -65,6 +65,9 @@ from skyline.terrain.viewpoints import (
     stand_at_one,
     stand_where_possible,
 )
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 Place = tuple[float, float, float | None, float]
 """Longitude, latitude, elevation of the eye or None, and the standard deviation in metres."""
@@ -231,7 +234,7 @@ class Orientation:
         """Return the orientation as ``skyline orient --json`` prints it."""
         return self.to_row() | {"wander": [] if self.pose is None else list(self.pose.wander)}
 
-    def to_dataframe(self) -> Any:
+    def to_dataframe(self) -> DataFrame:
         """Return the orientation as a pandas DataFrame of one row."""
         return to_dataframe([self])
 

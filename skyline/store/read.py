@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from contextlib import ExitStack
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import h5py
 import numpy as np
@@ -42,6 +42,10 @@ from skyline.store.mapped_places import PlaceMap
 from skyline.store.xarray_export import dataset_of_places, dataset_of_views, table_of_places
 from skyline.terrain.heightfield import facts_html
 from skyline.terrain.viewpoints import Viewpoints
+
+if TYPE_CHECKING:
+    from geopandas import GeoDataFrame
+    from xarray import Dataset
 
 RowIndex = int | slice | NDArray[np.integer] | BoolArray
 
@@ -173,7 +177,7 @@ class Store:
         with explained(self.path, "it cannot be mapped"):
             return PlaceMap(self.path, self._raw.fileno(), self.header, len(self), offsets)
 
-    def to_xarray(self, index: RowIndex = slice(None)) -> Any:
+    def to_xarray(self, index: RowIndex = slice(None)) -> Dataset:
         """Return rows as an `xarray.Dataset` (extra ``geo``), in memory.
 
         Parameters
@@ -204,7 +208,7 @@ class Store:
             return dataset_of_places(self.places().take(rows), rows, frame)
         return dataset_of_views(self.views(index), rows, frame)
 
-    def to_geodataframe(self, index: RowIndex = slice(None)) -> Any:
+    def to_geodataframe(self, index: RowIndex = slice(None)) -> GeoDataFrame:
         """Return places as points (extra ``geo``), in memory.
 
         Parameters
