@@ -44,7 +44,7 @@ def sky_view(
     terrain = _middle(read_dem(dem, DemOptions(crs=crs)), side)
     with Terminal().progress("measuring") as progress:
         rows = [_measured(terrain, one, seed, progress) for one in step_deg or [GRID_STEP_DEG]]
-    columns = "step_deg samples km2 seconds us_per_sample compared=n mean_error rms_error max_error"
+    columns = "step_deg samples km2 seconds cpu_seconds us_per_sample compared=n mean_error rms_error max_error"
     options.report(record, rows, columns, terrain=terrain)
 
 
@@ -59,8 +59,10 @@ def _middle(terrain: HeightField, side: int) -> HeightField:
 
 def _measured(terrain: HeightField, step_deg: float, seed: int, progress: Progress) -> Row:
     started = time.perf_counter()
+    cpu_started = time.process_time()
     grid = sky_view_grid(terrain, step_deg=step_deg, progress=progress)
     seconds = time.perf_counter() - started
+    cpu_seconds = time.process_time() - cpu_started
     known = np.flatnonzero(np.isfinite(grid.to_numpy()))
     drawn = np.random.default_rng(seed).permutation(known)[:_COMPARED]
     row, col = np.unravel_index(drawn, grid.shape)
@@ -75,6 +77,7 @@ def _measured(terrain: HeightField, step_deg: float, seed: int, progress: Progre
         "samples": grid.size,
         "km2": square_km(terrain.bounds_m),
         "seconds": seconds,
+        "cpu_seconds": cpu_seconds,
         "us_per_sample": 1e6 * seconds / grid.size,
         "compared": len(drawn),
         "mean_error": float(error.mean()),

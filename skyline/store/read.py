@@ -205,8 +205,10 @@ class Store:
         rows = self._indexed(index)
         frame = Frame(self.header.frame_wkt)
         if self.header.holds == PLACES:
-            return dataset_of_places(self.places().take(rows), rows, frame)
-        return dataset_of_views(self.views(index), rows, frame)
+            data: Dataset = dataset_of_places(self.places().take(rows), rows, frame)
+        else:
+            data = dataset_of_views(self.views(index), rows, frame)
+        return data
 
     def to_geodataframe(self, index: RowIndex = slice(None)) -> GeoDataFrame:
         """Return places as points (extra ``geo``), in memory.
