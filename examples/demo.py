@@ -17,9 +17,9 @@ from PIL import Image
 from rich.console import Console
 from rich.table import Table
 
-from skyline.match.matcher import FULL, PROFILE_MATCHERS, Matcher
+from skyline.match.matcher import FULL, Matcher
 from skyline.match.result import MatchResult
-from skyline.photo.read import write_overlay
+from skyline.photo.overlay import write_overlay
 from skyline.render.depth import DepthRenderer
 from skyline.render.horizon import RenderConfig
 from skyline.report.match_page import report_matches
@@ -74,7 +74,7 @@ def main() -> None:
     queries = take_pictures(terrain, out / "queries")
     matchers = {
         name: Matcher(places if name == FULL else renderings, matcher=name)
-        for name in (FULL, *PROFILE_MATCHERS)
+        for name in (FULL, "paper", "correlation")
     }
     results = {name: [m.match(query.path) for query in queries] for name, m in matchers.items()}
     for query, result in zip(queries, results[FULL], strict=True):

@@ -11,6 +11,8 @@ from .errors import StoreError as StoreError
 from .errors import StoreMismatchError as StoreMismatchError
 from .geodesy.earth import Curvature as Curvature
 from .geodesy.map_frame import Frame as Frame
+from .grids import horizon_grid as horizon_grid
+from .grids import sky_view_grid as sky_view_grid
 from .horizons import LocalHorizons as LocalHorizons
 from .horizons import horizon as horizon
 from .location import locate as locate

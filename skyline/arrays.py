@@ -1,10 +1,13 @@
 """Types of arrays for hints, and a base of dataclasses of arrays."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from typing import Any, Self, cast
 
 import numpy as np
 from numpy.typing import NDArray
+
+from skyline.errors import InputError
 
 FloatArray = NDArray[np.floating]
 Float64Array = NDArray[np.float64]
@@ -20,11 +23,61 @@ BoolArray = NDArray[np.bool_]
 Progress = Callable[[int, int], None]
 """Called with the number of finished pieces of work, and the number of all pieces."""
 
-Index = slice | NDArray[np.integer] | BoolArray
-"""An index of rows: a slice, row numbers or a mask."""
+_SHOWN = 4
+"""Items of a list that a printed form shows."""
+_SHOWN_LETTERS = 60
+"""Letters of a value that a printed form shows."""
+
+Index = int | slice | NDArray[np.integer] | BoolArray
+"""An index of rows: a number, which takes one row, a slice, row numbers or a mask."""
 
 
-class Rows:
+def refuse_text(**given: object) -> None:
+    """Raise `InputError` for a named value that is text, or has text among its numbers.
+
+    NumPy would read "9.85" as a number, and other libraries end in the middle of a calculation.
+    """
+    for name, value in given.items():
+        if value is None or isinstance(value, float | int):
+            continue
+        values: list[object] = []
+        with suppress(ValueError):  # Lists of uneven lengths are refused later.
+            array = np.asarray(value)
+            values = array.ravel().tolist() if array.dtype.kind in "SUO" else []
+        for text in values:
+            if isinstance(text, str | bytes):
+                raise InputError(
+                    f"{name} has the text {text!r:.40}; expected numbers: convert it by float()"
+                )
+
+
+class ShortRepr:
+    """Base of dataclasses that are printed in a line, with the shapes of their arrays.
+
+    The dataclass needs ``repr=False``.
+    """
+
+    __slots__ = ()
+
+    def __repr__(self) -> str:
+        names = cast(Any, self).__dataclass_fields__
+        shown = ", ".join(f"{name}={_short(getattr(self, name))}" for name in names)
+        return f"{type(self).__name__}({shown})"
+
+
+def _short(value: object) -> str:
+    """Return a value in a few words."""
+    if isinstance(value, np.ndarray):
+        return f"{value.shape} {value.dtype}"
+    if isinstance(value, float):
+        return f"{value:.7g}"
+    if isinstance(value, tuple | list | Mapping) and len(value) > _SHOWN:
+        return f"({len(value)} items)"
+    text = repr(value)
+    return text if len(text) <= _SHOWN_LETTERS else f"{text[:_SHOWN_LETTERS]}..."
+
+
+class Rows(ShortRepr):
     """Base of dataclasses whose fields are arrays of one length.
 
     A field may also be other `Rows` of that length, or None.
@@ -35,7 +88,13 @@ class Rows:
     def __len__(self) -> int:
         return len(getattr(self, self._names()[0]))
 
+    def __iter__(self) -> Iterator[Self]:
+        return (self[number] for number in range(len(self)))
+
     def __getitem__(self, index: Index) -> Self:
+        if isinstance(index, int | np.integer):
+            number = range(len(self))[index]
+            index = slice(number, number + 1)
         columns = {
             name: None if column is None else column[index]
             for name, column in self.columns().items()

@@ -3,7 +3,8 @@
 An area is the folder ``CACHE/areas/ORIGIN/W_S_E_N``. It holds the store, ``places-DIGEST.h5``, and
 the elevation model as it was read, ``places-DIGEST-FORM.terrain``; also ``tiles/``, unless the user
 gave the DEM. ORIGIN contains a digest of the source. If the user gave the DEM, it contains a digest
-of the names, sizes and times of its files and of the files that GDAL reads beside them. DIGEST
+of the names, sizes and times of its files and of the files that GDAL reads beside them, or of the
+heights of a model in memory. DIGEST
 covers everything else on which a store's rows depend. A store appears when it is finished, so a
 search that finds one needs no server.
 """
@@ -20,7 +21,7 @@ from datetime import datetime
 from functools import partial
 from glob import glob
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any, TextIO, cast
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -35,7 +36,7 @@ from skyline.store.layout import SCHEMA_VERSION
 from skyline.store.places import PLACE_CODING
 from skyline.survey.build import build_places
 from skyline.survey.plans import DEFAULT_LOSSES, DEFAULT_PLACES, map_bounds
-from skyline.terrain.dem import read_dem
+from skyline.terrain.dem import Dem, field_in_memory, read_dem
 from skyline.terrain.dem_files import Paths, dem_names
 from skyline.terrain.field_files import FORMAT, SUFFIX, save_field
 from skyline.terrain.heightfield import HeightField
@@ -132,22 +133,23 @@ class CachedArea:
 
 def prepare_area(
     area: Area,
-    dem: Paths = (),
+    dem: Dem = (),
     source: str | None = None,
     print_note: PrintNote = lambda _: None,
     bar: Bar = lambda _: nullcontext(),
 ) -> CachedArea:
     """Return an area from the cache; build it if it is missing.
 
-    ``dem`` are elevation files, or folders of them. Without it, tiles are fetched from ``source``,
-    a source of `fetch_dem`: by default the one of `source_of`. Raises
+    ``dem`` are elevation files, folders of them, or a model in memory. Without it, tiles are
+    fetched from ``source``, a source of `fetch_dem`: by default the one of `source_of`. Raises
     `InputError` where the DEM does not cover the area, there is only sea, or the cache cannot be
     written, and `FetchError` where a server fails.
     """
     check_bounds(area.built)
-    files = dem_names(dem)
+    terrain = field_in_memory(dem)
+    files = () if terrain is not None else dem_names(cast("Paths", dem))
     source = source_of(source)
-    home = areas_folder() / _origin(files, source)
+    home = areas_folder() / _origin(files if terrain is None else terrain, source)
     with _explained():
         finished = (one for one in _areas_in(home.glob("*")) if one.is_finished)
         serving = [one for one in finished if contains_box(one.bounds_deg, area.needed)]
@@ -161,13 +163,15 @@ def prepare_area(
         with hold_area(folder, print_note):
             if made.is_finished:
                 return made
-            _check_room(folder, bounds, with_tiles=not files)
+            is_fetched = terrain is None and not files
+            _check_room(folder, bounds, with_tiles=is_fetched)
             print_note(f"the area is kept in the cache: {folder}")
-            if not files:
+            if is_fetched:
                 files = _fetch(folder, bounds, source, print_note, bar)
-            with bar("reading the elevation model"):
-                terrain = read_dem(files)
-            _check_terrain(terrain, area, dem)
+            if terrain is None:
+                with bar("reading the elevation model"):
+                    terrain = read_dem(files)
+            _check_terrain(terrain, area, is_given=not is_fetched)
             print_note(f"building the store of {_km2(bounds):.0f} km2")
             with bar("building the store") as progress:
                 built = build_places(terrain, made.store, bounds_deg=bounds, progress=progress)
@@ -228,16 +232,18 @@ _TERRAIN = f"{Path(_STORE).stem}-{FORMAT}{SUFFIX}"
 """Name of an elevation model. An area whose model has another form is completed anew."""
 
 
-def _origin(files: Sequence[str], source: str) -> str:
+def _origin(dem: Sequence[str] | HeightField, source: str) -> str:
     """Return the name of the folder for a DEM's areas.
 
-    The DEM is some files, or comes from a source if there are none.
+    The DEM is some files or a field, or comes from a source if there are none.
     """
-    if not files:
+    if isinstance(dem, HeightField):
+        return f"dem-{_digest(dem.digest)}"
+    if not dem:
         template = SOURCES.get(source, source)
         name = source if source in SOURCES else urlsplit(template).hostname or "source"
         return f"{name}-{_digest(template)}"
-    read = dict.fromkeys(one for file in files for one in (file, *files_of(file)))
+    read = dict.fromkeys(one for file in dem for one in (file, *files_of(file)))
     return f"dem-{_digest(*((file, version_of(file)) for file in read))}"
 
 
@@ -306,7 +312,7 @@ def _fetch(
     return tuple(str(path) for path in done.files)
 
 
-def _check_terrain(terrain: HeightField, area: Area, dem: Paths) -> None:
+def _check_terrain(terrain: HeightField, area: Area, is_given: bool) -> None:
     """Refuse terrain that is all sea, or lacks an area's middle."""
     west, south, east, north = map_bounds(terrain, area.needed)
     lon = area.needed[0] + width_deg(area.needed) / 2.0
@@ -325,7 +331,7 @@ def _check_terrain(terrain: HeightField, area: Area, dem: Paths) -> None:
     if not np.any(np.isfinite(inside) & (inside != 0.0)):
         raise InputError(
             f"round {lon:.4f},{lat:.4f} the elevation model has nothing but sea or holes; give "
-            f"another --near{', or another --dem' if dem else ''}"
+            f"another --near{', or another --dem' if is_given else ''}"
         )
 
 

@@ -9,6 +9,8 @@ kinds of coordinates follow one another:
 * *azimuth, elevation*: directions in a level frame, see `level`.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
@@ -18,7 +20,7 @@ import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import ArrayLike
 
-from skyline.arrays import Float32Array, Float64Array
+from skyline.arrays import Float32Array, Float64Array, refuse_text
 from skyline.errors import InputError
 
 MIN_FOV_DEG = 1.0
@@ -63,7 +65,7 @@ class Projection(StrEnum):
     FISHEYE = "fisheye"
 
     @classmethod
-    def _missing_(cls, value: object) -> "Projection":
+    def _missing_(cls, value: object) -> Projection:
         raise InputError(f"projection is {value!r}; expected {', '.join(cls)}")
 
     @property
@@ -608,6 +610,7 @@ class Camera:
 
         NaN for directions that are not in front.
         """
+        refuse_text(grid_azimuth_deg=grid_azimuth_deg, elevation_tan=elevation_tan)
         turn = np.radians(np.asarray(grid_azimuth_deg, dtype=np.float64) - self.grid_heading_deg)
         tangent = np.asarray(elevation_tan, dtype=np.float64)
         u, v = project(turn, tangent, self.pitch_deg, self.roll_deg, self.projection)
@@ -628,6 +631,7 @@ class Camera:
 
         The inverse of `pixels`.
         """
+        refuse_text(column_px=column_px, row_px=row_px)
         across, above = from_middle(column_px, row_px, self.width_px, self.height_px)
         straight = undistorted(across, above, self.distortion, self.projection)
         u, v = self.projection.rays(*straight, self.fov_deg)

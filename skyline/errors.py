@@ -115,12 +115,23 @@ def entry_named(what: str, name: str, known: Mapping[str, T]) -> T:
 def numbers_of(given: Any, count: int, error: str) -> tuple[float, ...]:
     """Return ``count`` given numbers as floats; raises `InputError` with ``error`` otherwise."""
     try:
-        numbers = () if isinstance(given, str | bytes | Mapping) else tuple(map(float, given))
+        values = () if isinstance(given, str | bytes | Mapping) else tuple(given)
+        has_text = any(isinstance(one, str | bytes) for one in values)
+        numbers = () if has_text else tuple(map(float, values))
     except (TypeError, ValueError, OverflowError):
         numbers = ()
     if len(numbers) != count:
         raise InputError(error)
     return numbers
+
+
+def numbers_in(text: str, count: int, error: str) -> tuple[float, ...]:
+    """Return ``count`` numbers that text has between commas; otherwise as `numbers_of`."""
+    try:
+        numbers = tuple(map(float, text.split(",")))
+    except ValueError:
+        numbers = ()
+    return numbers_of(numbers, count, error)
 
 
 def suffix_of(path: str | Path, known: Iterable[str]) -> str:

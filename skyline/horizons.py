@@ -3,19 +3,22 @@
 Azimuths are degrees from true north.
 """
 
+from __future__ import annotations
+
 import io
 import logging
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields
 from datetime import date
 from numbers import Real
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pyproj import Geod
 
-from skyline.arrays import Float32Array, Float64Array, Progress, Rows, UInt8Array
+from skyline.arrays import Float32Array, Float64Array, Progress, UInt8Array
 from skyline.errors import InputError, library
 from skyline.geodesy.earth import Curvature
 from skyline.render.horizon import PanoramaRenderer
@@ -33,34 +36,52 @@ _AT_ONCE = 2048
 _LEAST_STEPS = 8
 """Fewest azimuths of a horizon; the renderer draws a multiple of them."""
 _SHOWN = 5
-"""Places that a notebook shows."""
+"""Places that a notebook shows, and ids that an error names."""
+_NAMED = 10
+"""Most places whose lines a legend tells apart: Matplotlib's colours repeat after ten."""
+_DIMS = {0: (), 1: ("point",), 2: ("y", "x")}
+"""Names of the dimensions of places in datasets."""
+_WGS84 = Geod(ellps="WGS84")
 _log = logging.getLogger(__name__)
 
+if TYPE_CHECKING:
+    from geopandas import GeoDataFrame
+    from matplotlib.axes import Axes
+    from pandas import DataFrame, Series
+    from xarray import Dataset
 
-@dataclass(frozen=True, slots=True, eq=False)
-class LocalHorizons(Rows):
-    """Horizons of N places in A equal steps of azimuth.
+Place = int | tuple[int, ...] | None
+"""Index of one place; None takes the only one."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class LocalHorizons:
+    """Horizons of places in A equal steps of azimuth.
+
+    The places have the shape ``...`` of the longitudes and latitudes that were given: none for two
+    numbers, (N,) for two lists, (R, C) for a grid. As in an array, ``horizons[2]`` is the third
+    place or row of places, and a loop takes one after another.
 
     Attributes
     ----------
-    lon, lat : (N,) float64
+    lon, lat : (...) float64
         Degrees (WGS 84).
-    eye_elevation_m : (N,) float64
+    eye_elevation_m : (...) float64
         Metres above the DEM's datum.
-    azimuth_deg : (N, A) float64
+    azimuth_deg : (..., A) float64
         Clockwise from true north; the same for every place.
-    elevation_deg : (N, A) float32
+    elevation_deg : (..., A) float32
         Elevation angle of the horizon; NaN at azimuths without data.
-    distance_m : (N, A) float32
+    distance_m : (..., A) float32
         Horizontal distance of the horizon; NaN at azimuths without data.
-    flags : (N, A) uint8
+    flags : (..., A) uint8
         Bits: 1, the horizon lies on the border of the data; 2, a hole may hide higher terrain; 4,
         no data.
-    surface_deg : (N, A) float32
+    surface_deg : (..., A) float32
         Elevation angle up to which trees and houses may rise, never below the horizon; NaN without
         a surface model.
-    id : (N,) str
-        The ``id`` or ``name`` of each place in a file of places; else empty.
+    id : (...) str
+        The name of each place, from ``ids`` or a file of places; else empty.
     """
 
     lon: Float64Array
@@ -74,6 +95,88 @@ class LocalHorizons(Rows):
     id: NDArray[np.str_]
 
     @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of the places."""
+        return np.shape(self.lon)
+
+    @property
+    def size(self) -> int:
+        """Number of places."""
+        return math.prod(self.shape)
+
+    def __len__(self) -> int:
+        if not self.shape:
+            raise TypeError("the horizon of one place has no length; its size is 1")
+        return self.shape[0]
+
+    def __bool__(self) -> bool:
+        return self.size > 0
+
+    def __iter__(self) -> Iterator[LocalHorizons]:
+        return (self[number] for number in range(len(self)))
+
+    def __getitem__(self, index: Any) -> LocalHorizons:
+        return self._taken(np.arange(self.size).reshape(self.shape)[index])
+
+    def ravel(self) -> LocalHorizons:
+        """Return the places in one dimension (N,), row by row."""
+        return self.reshape(self.size)
+
+    def reshape(self, *shape: int) -> LocalHorizons:
+        """Return the places in another shape, row by row."""
+        count = len(self.shape)
+        columns = {field.name: getattr(self, field.name) for field in fields(self)}
+        return LocalHorizons(
+            **{
+                name: np.reshape(values, (*shape, *np.shape(values)[count:]))
+                for name, values in columns.items()
+            }
+        )
+
+    def sel(
+        self, place_id: str | None = None, *, lon: float | None = None, lat: float | None = None
+    ) -> LocalHorizons:
+        """Return one place: the one with an id, or the one nearest to a position.
+
+        Parameters
+        ----------
+        place_id : str, optional
+        lon, lat : float, optional
+            Degrees (WGS 84), instead of the id.
+
+        Raises
+        ------
+        InputError
+            No place or several have the id, or neither an id nor a position is given.
+        """
+        if place_id is None and lon is not None and lat is not None:
+            at = np.full(self.size, lon), np.full(self.size, lat)
+            away_m = _WGS84.inv(*at, self.lon.ravel(), self.lat.ravel())[2]
+            return self._taken(np.argmin(away_m))
+        ids = np.ravel(self.id)
+        found = np.flatnonzero(ids == place_id)
+        if lon is not None or lat is not None or len(found) != 1:
+            known = ", ".join(dict.fromkeys(ids[ids != ""].tolist()[:_SHOWN])) or "none"
+            raise InputError(
+                f"{len(found)} of {self.size} places have the id {place_id!r} (ids: {known}); give "
+                "one of the ids, or lon and lat of a position near the place"
+            )
+        return self._taken(found[0])
+
+    def _taken(self, numbers: Any) -> LocalHorizons:
+        """Return places by their numbers, row by row, in the numbers' shape."""
+        places = self.ravel()
+        return LocalHorizons(
+            **{field.name: getattr(places, field.name)[numbers] for field in fields(self)}
+        )
+
+    @property
+    def _azimuths_deg(self) -> Float64Array:
+        """The azimuths (A,) of every place."""
+        steps = np.shape(self.azimuth_deg)[-1]
+        return np.asarray(np.arange(steps) * (360.0 / steps))
+
+    @property
     def has_ids(self) -> bool:
         """True if the places have ids or names."""
         return bool((self.id != "").any())
@@ -84,10 +187,10 @@ class LocalHorizons(Rows):
         return not bool(np.isnan(self.surface_deg).all())
 
     def sky_view_factor(self, tilt_deg: float = 0.0, facing_deg: float = 180.0) -> Float64Array:
-        """Return the sky view factors (N,) of a surface; see `sky_view_factor`."""
-        return sky_view_factor(self.azimuth_deg[0], self.elevation_deg, tilt_deg, facing_deg)
+        """Return the sky view factors (...) of a surface; see `sky_view_factor`."""
+        return sky_view_factor(self._azimuths_deg, self.elevation_deg, tilt_deg, facing_deg)
 
-    def sun_above(self, day: date | str, place: int | None = None) -> list[Interval]:
+    def sun_above(self, day: date | str, place: Place = None) -> list[Interval]:
         """Return when part of the sun's disc is above one place's horizon.
 
         Parameters
@@ -120,101 +223,169 @@ class LocalHorizons(Rows):
             elevation_deg=self.elevation_deg[place],
         )
 
-    def plot(self, place: int | None = None, ax: Any = None) -> Any:
-        """Draw one place's horizon over azimuth, and return the matplotlib axes.
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw the horizon over azimuth, of several places a line each; return the axes.
 
-        ``place`` is its index, which may be left out if there is only one place. ``ax`` are axes to
-        draw on; by default a new figure is made. A warning names an id that no installed font
-        draws; the title then lacks it.
-
-        Raises `InputError` if one of several places is not chosen.
+        ``ax`` are axes of matplotlib to draw on; by default a new figure is made. A warning names
+        an id that no installed font draws; the title then lacks it.
         """
-        from skyline.fonts import fonts_for  # noqa: PLC0415  (slow to load)
-
-        place = self._chosen(place)
         if ax is None:
             from matplotlib import pyplot  # noqa: PLC0415  (slow to load)
 
             ax = pyplot.subplots(figsize=(9, 3), layout="constrained")[1]
-        azimuth_deg = self.azimuth_deg[place]
-        up_deg = self.elevation_deg[place]
-        foot_deg = min(0.0, float(np.nanmin(up_deg)))
-        ax.fill_between(azimuth_deg, up_deg, foot_deg, color="0.75", linewidth=0.0)
-        ax.plot(azimuth_deg, up_deg, color="black", linewidth=1.0)
-        if self.has_surface:
-            ax.plot(azimuth_deg, self.surface_deg[place], color="green", linewidth=1.0)
-        name = str(self.id[place])
-        (families,) = fonts_for([name])
-        if not families:
-            _log.warning("no installed font draws %s; the title of its horizon lacks it", name)
-            name = ""
-        title = f"{name}: " if name else ""
-        title += f"lon {self.lon[place]:.5f}, lat {self.lat[place]:.5f}, "
-        title += f"eye {self.eye_elevation_m[place]:.0f} m"
-        ax.set_title(title, fontfamily=families or None, parse_math=False)
+        if self.size == 1:
+            self.ravel()[0]._fill(ax)
+        else:
+            self._draw_lines(ax)
         ax.set(xlim=(0.0, 360.0), xticks=range(0, 361, 45))
         ax.set(xlabel="azimuth from true north (degrees)", ylabel="elevation (degrees)")
         return ax
 
+    def _fill(self, ax: Axes) -> None:
+        """Draw one place's horizon."""
+        foot_deg = min(0.0, float(np.nanmin(self.elevation_deg)))
+        ax.fill_between(self.azimuth_deg, self.elevation_deg, foot_deg, color="0.75", linewidth=0.0)
+        ax.plot(self.azimuth_deg, self.elevation_deg, color="black", linewidth=1.0)
+        if self.has_surface:
+            ax.plot(self.azimuth_deg, self.surface_deg, color="green", linewidth=1.0)
+        ((name, families),) = _drawable([str(self.id)])
+        ax.set_title(
+            f"{name}: {self._place}" if name else self._place,
+            fontfamily=families or None,
+            parse_math=False,
+        )
+
+    def _draw_lines(self, ax: Axes) -> None:
+        """Draw a line for each of several places, with a legend of a few."""
+        lines = [
+            ax.plot(one.azimuth_deg, one.elevation_deg, linewidth=1.0)[0] for one in self.ravel()
+        ]
+        if len(lines) > _NAMED:
+            return
+        drawable = _drawable([str(one) for one in self._labels()])
+        legend = ax.legend(lines, [name for name, _ in drawable])
+        for text, (_, families) in zip(legend.get_texts(), drawable, strict=True):
+            text.set(parse_math=False, **({"fontfamily": families} if families else {}))
+
+    @property
+    def _place(self) -> str:
+        """One place in words."""
+        return f"lon {self.lon:.5f}, lat {self.lat:.5f}, eye {self.eye_elevation_m:.0f} m"
+
+    def _labels(self) -> list[str | int]:
+        """Return what tells places apart, row by row: their ids, or else their numbers."""
+        return list(np.ravel(self.id).tolist() if self.has_ids else range(self.size))
+
     def __repr__(self) -> str:
-        return f"LocalHorizons(places={len(self)}, azimuths={self.azimuth_deg.shape[1]})"
+        steps = np.shape(self.azimuth_deg)[-1]
+        places = " x ".join(map(str, self.shape)) + " places" if self.shape else self._place
+        return f"LocalHorizons({places}, {steps} azimuths, {360.0 / steps:g} degrees apart)"
 
     def _repr_html_(self) -> str:
         from matplotlib.figure import Figure  # noqa: PLC0415  (slow to load)
 
         shown = io.StringIO()
-        for place in range(min(len(self), _SHOWN)):
+        for place in self.ravel()[:_SHOWN]:
             figure = Figure(figsize=(9, 3), layout="constrained")
-            self.plot(place, figure.subplots())
+            place.plot(figure.subplots())
             figure.savefig(shown, format="svg")
-        more = len(self) - _SHOWN
+        more = self.size - _SHOWN
         return shown.getvalue() + (f"<p>and {more} more places</p>" if more > 0 else "")
 
-    def _chosen(self, place: int | None) -> int:
-        """Return a place's index; raises `InputError` unless there is one to take."""
-        if place is None and len(self) == 1:
-            return 0
-        if place is None or not -len(self) <= place < len(self):
+    def _chosen(self, place: Place) -> Any:
+        """Return the index of one place; raises `InputError` unless there is one to take."""
+        if place is None and self.size == 1:
+            return (0,) * len(self.shape)
+        index = () if place is None else np.atleast_1d(place).tolist()
+        is_one = len(index) == len(self.shape)
+        if not is_one or any(
+            not -count <= at < count for at, count in zip(index, self.shape, strict=True)
+        ):
             given = "none is chosen" if place is None else f"place is {place}"
             raise InputError(
-                f"there are {len(self)} places and {given}; give place=0 to {len(self) - 1}, or "
-                "take all with to_xarray()"
+                f"there are {self.size} places and {given}; take one by its number or its id, as "
+                "in horizons[0] and horizons.sel(...)"
             )
-        return place
+        return tuple(index)
 
-    def to_series(self, place: int | None = None) -> Any:
-        """Return one place's horizon in the form of pvlib's `get_pvgis_horizon`.
-
-        Parameters
-        ----------
-        place : int, optional
-            Index of the place; it may be left out if there is only one place; `to_xarray` has all.
+    def to_series(self) -> Series:
+        """Return the elevations in the form of pvlib's `get_pvgis_horizon`.
 
         Returns
         -------
         pandas.Series
-            ``horizon_elevation`` in degrees by ``horizon_azimuth`` in degrees from true north.
+            ``horizon_elevation`` in degrees by ``horizon_azimuth`` in degrees from true north; of
+            several places by ``place``, an id or number, and ``horizon_azimuth``:
+            ``to_series().unstack("place")`` has a column for each.
 
         Raises
         ------
         InputError
-            Pandas is not installed, or one of several places is not chosen.
+            Pandas is not installed.
         """
-        place = self._chosen(place)
         pandas = library("pandas", "a Series")
-        index = pandas.Index(self.azimuth_deg[place], name="horizon_azimuth")
-        elevation = self.elevation_deg[place].astype(np.float64)
+        elevation = np.ravel(self.elevation_deg).astype(np.float64)
+        index = pandas.Index(self._azimuths_deg, name="horizon_azimuth")
+        if self.size != 1:
+            both = self._labels(), self._azimuths_deg
+            index = pandas.MultiIndex.from_product(both, names=("place", "horizon_azimuth"))
         return pandas.Series(elevation, index, name="horizon_elevation")
 
-    def to_xarray(self) -> Any:
+    def to_dataframe(self) -> DataFrame:
+        """Return a row for each place and azimuth, in the columns that ``skyline horizon`` writes.
+
+        Returns
+        -------
+        pandas.DataFrame
+            ``id`` if the places have ids; ``lon``, ``lat``, ``azimuth_deg``, ``elevation_deg`` and
+            ``distance_m``; with a surface model ``surface_deg``.
+
+        Raises
+        ------
+        InputError
+            Pandas is not installed.
+        """
+        steps = np.shape(self.azimuth_deg)[-1]
+        of_places: dict[str, NDArray[Any]] = {"id": self.id} if self.has_ids else {}
+        of_places |= {"lon": self.lon, "lat": self.lat}
+        columns = {name: np.repeat(values, steps) for name, values in of_places.items()}
+        names = "azimuth_deg", "elevation_deg", "distance_m", "surface_deg"
+        for name in names if self.has_surface else names[:3]:
+            columns[name] = getattr(self, name).ravel()
+        return library("pandas", "a DataFrame").DataFrame(columns)
+
+    def to_geodataframe(self) -> GeoDataFrame:
+        """Return the places as points, one row each.
+
+        Returns
+        -------
+        geopandas.GeoDataFrame
+            Points in EPSG:4326 with ``id`` if the places have ids, ``lon``, ``lat``,
+            ``eye_elevation_m`` and the ``sky_view_factor`` of a level surface.
+
+        Raises
+        ------
+        InputError
+            GeoPandas is not installed.
+        """
+        geopandas = library("geopandas", "a GeoDataFrame")
+        columns = {"id": np.ravel(self.id)} if self.has_ids else {}
+        for name in ("lon", "lat", "eye_elevation_m"):
+            columns[name] = np.ravel(getattr(self, name))
+        columns["sky_view_factor"] = np.ravel(self.sky_view_factor())
+        points = geopandas.points_from_xy(columns["lon"], columns["lat"])
+        return geopandas.GeoDataFrame(columns, geometry=points, crs="EPSG:4326")
+
+    def to_xarray(self) -> Dataset:
         """Return the horizons as a dataset.
 
         Returns
         -------
         xarray.Dataset
             ``elevation_deg``, ``distance_m``, ``flags`` and, with a surface model, ``surface_deg``
-            by ``point`` and ``azimuth_deg``; ``sky_view_factor`` of a level surface, ``lon``,
-            ``lat`` and ``eye_elevation_m`` by ``point``.
+            by the places' dimensions and ``azimuth_deg``; ``sky_view_factor`` of a level surface,
+            ``lon``, ``lat``, ``eye_elevation_m`` and ``id`` by the places' dimensions: ``point``
+            for a list of places, ``y`` and ``x`` for a grid, none for one place.
 
         Raises
         ------
@@ -227,9 +398,11 @@ class LocalHorizons(Rows):
             "elevation_deg": ("elevation angle of the horizon", "degrees"),
             "distance_m": ("horizontal distance of the horizon", "m"),
         }
-        dims = ("point", "azimuth_deg")
+        count = len(self.shape)
+        place = _DIMS.get(count, tuple(f"dim_{number}" for number in range(count)))
+        dims = (*place, "azimuth_deg")
         true_north = {"long_name": "azimuth, clockwise from true north", "units": "degrees"}
-        return xarray.Dataset(
+        data: Dataset = xarray.Dataset(
             {
                 **{
                     name: (dims, getattr(self, name), {"long_name": long_name, "units": unit})
@@ -237,16 +410,29 @@ class LocalHorizons(Rows):
                     if name != "surface_deg" or self.has_surface
                 },
                 "flags": (dims, self.flags, {"long_name": "1 border, 2 hole, 4 no data"}),
-                "sky_view_factor": ("point", self.sky_view_factor()),
+                "sky_view_factor": (place, self.sky_view_factor(), {"units": "1"}),
             },
             {
-                "lon": ("point", self.lon, {"standard_name": "longitude", "units": "degrees_east"}),
-                "lat": ("point", self.lat, {"standard_name": "latitude", "units": "degrees_north"}),
-                "eye_elevation_m": ("point", self.eye_elevation_m, {"units": "m"}),
-                "id": ("point", self.id),
-                "azimuth_deg": ("azimuth_deg", self.azimuth_deg[0], true_north),
+                "lon": (place, self.lon, {"standard_name": "longitude", "units": "degrees_east"}),
+                "lat": (place, self.lat, {"standard_name": "latitude", "units": "degrees_north"}),
+                "eye_elevation_m": (place, self.eye_elevation_m, {"units": "m"}),
+                "id": (place, self.id),
+                "azimuth_deg": ("azimuth_deg", self._azimuths_deg, true_north),
             },
         )
+        return data
+
+
+def _drawable(names: Sequence[str]) -> list[tuple[str, tuple[str, ...]]]:
+    """Return names with fonts that draw them; a name without a font is "", and warned of."""
+    from skyline.fonts import fonts_for  # noqa: PLC0415  (slow to load)
+
+    drawable = []
+    for name, families in zip(names, fonts_for(names), strict=True):
+        if not families:
+            _log.warning("no installed font draws %s; the title of its horizon lacks it", name)
+        drawable.append((name if families else "", families))
+    return drawable
 
 
 def horizon(  # noqa: PLR0913  (independent conditions)
@@ -259,33 +445,37 @@ def horizon(  # noqa: PLR0913  (independent conditions)
     curvature: Curvature | None = None,
     surface: Dem | None = None,
     summit_within_m: float | None = None,
+    ids: ArrayLike | None = None,
 ) -> LocalHorizons:
     """Return the horizons around places, exact on the DEM's surface to float32.
 
     Parameters
     ----------
-    terrain : path, paths or HeightField
+    terrain : path, paths, DataArray or HeightField
         The elevation model; read it once with `read_dem` for several calls.
-    lon, lat : array_like, degrees (WGS 84), broadcast to N places
+    lon, lat : array_like, degrees (WGS 84), broadcast to the shape of the result
     eye_height_m : array_like, metres above ground
     step_deg : float
         Step between azimuths; the first azimuth is true north.
     curvature : Curvature, optional
         Defaults to the Earth's with k = 0.13.
-    surface : path, paths or HeightField, optional
+    surface : path, paths, DataArray or HeightField, optional
         A surface or canopy model: the height to which trees and houses may rise above the horizon.
     summit_within_m : float, optional
         Move each eye to the highest point within this distance. By default eyes stay in place, and
         an eye within one sample's spacing of a summit of the model is raised to its height; 0
         leaves such an eye on the slope.
+    ids : array_like of str, optional
+        Names of the places, in their shape.
 
     Raises
     ------
     OffMapError
         A place is off the map or on a hole, or an eye height is below 0.
     InputError
-        No place is given, coordinates are no numbers or do not fit together, the step does not
-        divide a full turn, or the surface does not cover the DEM.
+        No place is given, coordinates are no numbers or do not fit together, the ids are more or
+        fewer than the places, the step does not divide a full turn, or the surface does not cover
+        the DEM.
     ContextError
         No OpenGL context can be created.
     """
@@ -294,8 +484,17 @@ def horizon(  # noqa: PLR0913  (independent conditions)
     eyes = stand_at(
         terrain, lon=lon, lat=lat, eye_height_m=eye_height_m, summit_within_m=summit_within_m
     )
+    shape = np.broadcast_shapes(*map(np.shape, (lon, lat, eye_height_m)))
+    names = np.full(shape, "") if ids is None else np.asarray(ids, dtype=np.str_)
+    if names.shape != shape:
+        raise InputError(
+            f"the places have the shape {shape}, and the ids {names.shape}; give an id for each"
+        )
     over = None if surface is None else read_surface(surface, terrain)
-    return horizons_of(terrain, eyes, step_deg, curvature, surface=over)
+    found = horizons_of(
+        terrain, eyes, step_deg, curvature, surface=over, ids=names.ravel().tolist()
+    )
+    return found.reshape(*shape)
 
 
 def horizons_of(
@@ -307,7 +506,7 @@ def horizons_of(
     surface: HeightField | None = None,
     ids: Sequence[str] = (),
 ) -> LocalHorizons:
-    """Return the horizons of eyes; see `horizon` for the arguments."""
+    """Return the horizons (N,) of eyes; see `horizon` for the arguments."""
     steps = steps_a_turn(step_deg)
     if not len(eyes):
         raise InputError("no place was given; give the longitude and latitude of one or more")

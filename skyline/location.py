@@ -3,6 +3,8 @@
 The photos or the user name the area in which they are searched.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -17,7 +19,7 @@ from skyline.match.prior import NOTED_KM, Narrowing
 from skyline.match.result import MatchResult
 from skyline.photo.image import Picture, name_of
 from skyline.photo.photo import read_noted_place
-from skyline.terrain.dem_files import Paths
+from skyline.terrain.dem import Dem
 
 _NEEDED_KM = 5.0
 """Radius of the area that a cached store must have round a photo's own position, so that photos
@@ -30,7 +32,7 @@ _TOGETHER_KM = 50.0
 def locate(
     photo: Picture,
     near: tuple[float, float, float] | Bounds | None = None,
-    dem: Paths | None = None,
+    dem: Dem | None = None,
     *,
     source: str | None = None,
     fov_deg: float | None = None,
@@ -48,8 +50,8 @@ def locate(
     near : tuple, optional
         Longitude, latitude and a radius in km, or W, S, E, N in degrees; by default 10 km round the
         position in the photo's EXIF.
-    dem : path or paths, optional
-        Elevation files, or folders of them; by default tiles are fetched.
+    dem : path, paths, DataArray or HeightField, optional
+        An elevation model, as for `read_dem`; by default tiles are fetched.
     source : str, optional
         Source of tiles, a name or address as for ``skyline dem fetch``; by default
         ``$SKYLINE_DEM_SOURCE``, else Copernicus.

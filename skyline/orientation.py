@@ -13,16 +13,18 @@ fit leaves little doubt about the heading. The weights of these three were learn
 confidence of a match (`skyline.match.confidence`).
 """
 
+from __future__ import annotations
+
 import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from skyline.arrays import Float64Array
+from skyline.arrays import Float64Array, refuse_text
 from skyline.errors import InputError, printable
 from skyline.geodesy.bounds import in_turn
 from skyline.geodesy.earth import Curvature
@@ -51,7 +53,7 @@ from skyline.photo.noted_place import NotedPlace
 from skyline.photo.read import named_skyline
 from skyline.photo.skyline import PhotoSkyline
 from skyline.pose import Pose, Poses
-from skyline.render.context import Releasable
+from skyline.render.context import Closeable
 from skyline.render.horizon import PanoramaRenderer, RenderConfig, RenderedScene
 from skyline.store.places import BINS, Places
 from skyline.terrain.dem import Dem, read_dem
@@ -63,6 +65,9 @@ from skyline.terrain.viewpoints import (
     stand_at_one,
     stand_where_possible,
 )
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 Place = tuple[float, float, float | None, float]
 """Longitude, latitude, elevation of the eye or None, and the standard deviation in metres."""
@@ -137,7 +142,7 @@ class _Doubts:
 _DOUBTS = _Doubts()
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Orientation:
     """How a camera was held at a known place.
 
@@ -179,6 +184,18 @@ class Orientation:
     lacks_confidence_only: bool = False
     name: str = ""
 
+    def __repr__(self) -> str:
+        pose = self.pose
+        held = "no pose fits"
+        if pose is not None:
+            angles = {"heading": (pose.heading_deg, self.heading_sd_deg)}
+            angles |= {"pitch": (pose.pitch_deg, self.pitch_sd_deg)}
+            angles |= {"roll": (pose.roll_deg, self.roll_sd_deg)}
+            angles |= {"fov": (pose.fov_deg, self.fov_sd_deg)}
+            held = ", ".join(f"{name} {deg:.2f} +- {sd:.2f}" for name, (deg, sd) in angles.items())
+            held += f" degrees, confidence {self.confidence:.2f}"
+        return f"Orientation({held}{f'; not trusted: {self.refusal}' if self.refusal else ''})"
+
     @property
     def answer(self) -> Pose | None:
         """The pose, if it can be trusted."""
@@ -217,7 +234,7 @@ class Orientation:
         """Return the orientation as ``skyline orient --json`` prints it."""
         return self.to_row() | {"wander": [] if self.pose is None else list(self.pose.wander)}
 
-    def to_dataframe(self) -> Any:
+    def to_dataframe(self) -> DataFrame:
         """Return the orientation as a pandas DataFrame of one row."""
         return to_dataframe([self])
 
@@ -264,14 +281,15 @@ class Orientation:
         return "\n  ".join(filter(None, lines))
 
 
-class Orienter(Releasable):
+class Orienter(Closeable):
     """Finds how cameras were held at one place.
 
-    It serves any number of photos from there. Only the thread that makes it may use it.
+    It serves any number of photos from there, in any thread. `close`, or the end of a ``with``
+    block, frees its memory on the GPU.
 
     Parameters
     ----------
-    dem : path, paths or HeightField
+    dem : path, paths, DataArray or HeightField
         The elevation model, which must hold all terrain that is seen from the place.
     lon, lat : float
         The place, degrees (WGS 84).
@@ -300,6 +318,7 @@ class Orienter(Releasable):
         elevation_m: float | None = None,
         position_sd_m: float = DEFAULT_POSITION_SD_M,
     ) -> None:
+        refuse_text(elevation_m=elevation_m, position_sd_m=position_sd_m)
         if not 0.0 < position_sd_m <= _SEARCH.most_position_sd_m:
             raise InputError(
                 f"the standard deviation of the position is {position_sd_m:g} m; expected above "
@@ -322,6 +341,10 @@ class Orienter(Releasable):
         self._panoramas = PanoramaRenderer(self.terrain, BINS, self.curvature)
         self._retriever = self._retriever_at(elevation_m)
         self._model = confidence.models("orientation.json")[confidence.ORIENTED]
+
+    def __repr__(self) -> str:
+        lon, lat = self.frame.to_lonlat(self._east, self._north)
+        return f"Orienter(lon {lon:.5f}, lat {lat:.5f}, {self.terrain})"
 
     def _around(self, away_m: float) -> Viewpoints:
         """Return eyes at the known place and on a ring around it."""
@@ -355,10 +378,10 @@ class Orienter(Releasable):
         ground_m = self._around(away_m).eye_elevation_m - DEFAULT_EYE_HEIGHT_M
         return math.sqrt(np.mean((ground_m - self._ground_m) ** 2))
 
-    def release(self) -> None:
+    def close(self) -> None:
         """Free the orienter's GPU memory."""
-        self._scene.release()
-        self._panoramas.release()
+        self._scene.close()
+        self._panoramas.close()
 
     @one_blas_thread()
     def orient(
@@ -431,7 +454,7 @@ class Orienter(Releasable):
         """Return the prior of a photo's pose."""
         return Prior(narrowing, self.frame, noted=self._known(noted, standing))
 
-    def _refinement(self, rays: Rays, prior: Prior, standing: Standing) -> "_RefinementByHeading":
+    def _refinement(self, rays: Rays, prior: Prior, standing: Standing) -> _RefinementByHeading:
         """Return the refinement of a photo's rays, with its prior."""
         return _RefinementByHeading(rays, self._scene, _EFFORT, prior, standing.eye)
 
@@ -549,8 +572,8 @@ def orienters(terrain: HeightField) -> Iterator[Callable[[Place], Orienter]]:
     """Yield a function that returns a place's orienter.
 
     The orienter is reused as long as the place stays the same, as for the frames of a fixed camera.
-    It is released only after the next one is made, so that both share the terrain's textures; the
-    last is released at the end of the block.
+    It is closed only after the next one is made, so that both share the terrain's textures; the
+    last is closed at the end of the block.
     """
     made: dict[Place, Orienter] = {}
 
@@ -561,14 +584,14 @@ def orienters(terrain: HeightField) -> Iterator[Callable[[Place], Orienter]]:
                 terrain, lon=lon, lat=lat, elevation_m=elevation_m, position_sd_m=position_sd_m
             )
             while len(made) > 1:
-                made.pop(next(iter(made))).release()
+                made.pop(next(iter(made))).close()
         return made[place]
 
     try:
         yield orienter_at
     finally:
         for one in made.values():
-            one.release()
+            one.close()
 
 
 class _RefinementByHeading(Refinement):

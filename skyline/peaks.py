@@ -21,7 +21,7 @@ import numpy as np
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 
-from skyline.arrays import Float64Array
+from skyline.arrays import Float64Array, ShortRepr
 from skyline.errors import InputError, printable, swapped_in_words
 from skyline.files import GEOJSON, read_bytes
 from skyline.geodesy.earth import GROUND_M, Curvature
@@ -64,8 +64,8 @@ _EXPECTED = (
 )
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Peaks:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+class Peaks(ShortRepr):
     """N named summits in a metric frame.
 
     Attributes

@@ -56,7 +56,7 @@ EXPECTED_RECORD = (
 """What a record of a pose is, for errors."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class Pose:
     """A pose of the camera on the map, in degrees.
 
@@ -131,6 +131,10 @@ class Pose:
     terrain_share: float | None = None
     skyline_m: float | None = None
     rank: int | None = None
+
+    def __repr__(self) -> str:
+        shown = (f"{name} {text}" for name, text in zip(COLUMNS, self.cells(), strict=True) if text)
+        return f"Pose({', '.join(shown).replace(' °', '')}; angles in degrees)"
 
     @property
     def origin(self) -> str:

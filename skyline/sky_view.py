@@ -1,11 +1,13 @@
 """Sky view factors: the share of the sky's light left by horizons."""
 
+from __future__ import annotations
+
 import math
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from skyline.arrays import Float64Array
+from skyline.arrays import Float64Array, refuse_text
 from skyline.errors import InputError, numbers_of
 from skyline.geodesy.bounds import in_turn
 
@@ -49,6 +51,7 @@ def sky_view_factor(
         The azimuths are not equal steps over a full turn, there is not one elevation for each, the
         tilt is not from 0 to 180, or the azimuth that the surface faces is not a number.
     """
+    refuse_text(azimuth_deg=azimuth_deg, elevation_deg=elevation_deg)
     azimuth, elevation = (np.asarray(a, dtype=np.float64) for a in (azimuth_deg, elevation_deg))
     even = np.arange(azimuth.size) * (360.0 / max(azimuth.size, 1))
     if azimuth.ndim != 1 or not np.allclose(in_turn(azimuth - azimuth[:1] - even), 0.0, atol=1e-3):

@@ -11,7 +11,15 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from skyline.arrays import Float32Array, Float64Array, FloatArray, IntArray, Rows, UInt8Array
+from skyline.arrays import (
+    Float32Array,
+    Float64Array,
+    FloatArray,
+    IntArray,
+    Rows,
+    UInt8Array,
+    refuse_text,
+)
 from skyline.errors import InputError
 from skyline.geodesy.earth import Curvature
 
@@ -48,6 +56,7 @@ there lies below the horizon by 0.6 % of the dip."""
 
 def check_width(width: int) -> int:
     """Return ``width``, or raise `InputError` if it is not usable."""
+    refuse_text(width=width)
     if not 2 <= width <= MAX_WIDTH:
         raise InputError(
             f"width is {width} columns; expected 2 to {MAX_WIDTH} (the paper uses {DEFAULT_WIDTH})"
@@ -81,7 +90,7 @@ def elevation_deg(v: Float64Array, u: Float64Array) -> Float64Array:
     return np.degrees(np.arctan(v * np.cos(np.arctan(u))))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Views(Rows):
     """N views of W columns each.
 
@@ -238,7 +247,7 @@ def quadrant_azimuths_rad(bins: int) -> Float64Array:
     return np.asarray(steps * (2.0 * np.pi / bins), dtype=np.float64)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Horizons(Rows):
     """The skylines of N eyes in B bins of azimuth.
 

@@ -4,6 +4,8 @@ A pose is a `Pose`; a picture has the size and the projection of a photo. Azimut
 azimuths in degrees, elevations the tangent of the elevation angle: up over horizontal distance.
 """
 
+from __future__ import annotations
+
 import io
 import json
 import math
@@ -12,18 +14,19 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from threading import Lock
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from skyline.arrays import BoolArray, Float32Array, Float64Array, Progress
-from skyline.errors import InputError, suffix_of
+from skyline.arrays import BoolArray, Float32Array, Float64Array, Progress, ShortRepr, refuse_text
+from skyline.errors import InputError, library, suffix_of
 from skyline.files import write_whole
 from skyline.geodesy.bounds import in_turn
 from skyline.geodesy.earth import Curvature
 from skyline.peaks import Peaks, Sighting, check_on_map, most_prominent_first, visible_peaks
 from skyline.photo.skyline import PhotoSkyline
 from skyline.pose import NotedPose, Pose
-from skyline.render.context import Releasable, RenderThread
+from skyline.render.context import Closeable, RenderThread
 from skyline.render.horizon import RenderConfig, RenderedScene
 from skyline.skylines import HEADINGS, Views
 from skyline.terrain.dem import Dem, read_dem
@@ -37,6 +40,11 @@ from skyline.terrain.viewpoints import (
     stand_at_one,
     stand_on,
 )
+
+if TYPE_CHECKING:
+    from geopandas import GeoDataFrame
+    from pandas import DataFrame
+    from xarray import Dataset
 
 PIXEL_FILES = (".npz", ".tif")
 _BANDS = ("distance_m", "lon", "lat", "elevation_m")
@@ -52,8 +60,8 @@ _ROUNDED_M = 0.01
 """An eye that is too low by less than this is rounded."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Sight:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Sight(ShortRepr):
     """The skyline rendered at a pose, compared with a photo's skyline.
 
     Attributes
@@ -98,7 +106,7 @@ class SeenPeak(Sighting):
     column_px: float
     row_px: float
 
-    def doubted(self, confidence: float) -> "SeenPeak":
+    def doubted(self, confidence: float) -> SeenPeak:
         """Return the peak with the probability that its name is right behind the name."""
         return replace(self, name=f"{self.name} ({100.0 * confidence:.0f} %)")
 
@@ -142,8 +150,8 @@ def peaks_in_picture(
     ]
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class PixelPlaces:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+class PixelPlaces(ShortRepr):
     """The terrain that each pixel of a photo shows.
 
     NaN for sky.
@@ -165,6 +173,74 @@ class PixelPlaces:
     lat: Float64Array
     elevation_m: Float32Array
     step: int = 1
+
+    def to_xarray(self) -> Dataset:
+        """Return the places as a dataset, NaN for sky.
+
+        Returns
+        -------
+        xarray.Dataset
+            ``distance_m`` and ``elevation_m`` by ``row_px`` and ``column_px``, with the coordinates
+            ``lon`` and ``lat``.
+
+        Raises
+        ------
+        InputError
+            Xarray is not installed.
+        """
+        row_px, column_px = (self.step * np.arange(count) for count in self.lon.shape)
+        dims = "row_px", "column_px"
+        metres = {"units": "m"}
+        data: Dataset = library("xarray", "a Dataset").Dataset(
+            {
+                "distance_m": (dims, self.distance_m, metres),
+                "elevation_m": (dims, self.elevation_m, metres),
+            },
+            {
+                "lon": (dims, self.lon, {"standard_name": "longitude", "units": "degrees_east"}),
+                "lat": (dims, self.lat, {"standard_name": "latitude", "units": "degrees_north"}),
+                "row_px": ("row_px", row_px, {"units": "px"}),
+                "column_px": ("column_px", column_px, {"units": "px"}),
+            },
+        )
+        return data
+
+    def to_dataframe(self) -> DataFrame:
+        """Return a row for each pixel that shows terrain.
+
+        Returns
+        -------
+        pandas.DataFrame
+            ``column_px``, ``row_px``, ``lon``, ``lat``, ``elevation_m`` and ``distance_m``.
+
+        Raises
+        ------
+        InputError
+            Pandas is not installed.
+        """
+        row, column = np.nonzero(np.isfinite(self.distance_m))
+        columns = {"column_px": self.step * column, "row_px": self.step * row}
+        names = "lon", "lat", "elevation_m", "distance_m"
+        columns |= {name: getattr(self, name)[row, column] for name in names}
+        return library("pandas", "a DataFrame").DataFrame(columns)
+
+    def to_geodataframe(self) -> GeoDataFrame:
+        """Return a point for each pixel that shows terrain.
+
+        Returns
+        -------
+        geopandas.GeoDataFrame
+            Points in EPSG:4326, with the columns of `to_dataframe`.
+
+        Raises
+        ------
+        InputError
+            GeoPandas is not installed.
+        """
+        geopandas = library("geopandas", "a GeoDataFrame")
+        table = self.to_dataframe()
+        points = geopandas.points_from_xy(table["lon"], table["lat"])
+        return geopandas.GeoDataFrame(table, geometry=points, crs="EPSG:4326")
 
     def save(self, path: str | Path, pose: Pose) -> None:
         """Write the places, and the pose from which they are seen.
@@ -206,23 +282,23 @@ class PixelPlaces:
             write_whole(path, memory.read())
 
 
-class Viewer(Releasable):
+class Viewer(Closeable):
     """The terrain as cameras see it.
 
     It shows skylines, summits and the place in each pixel of a photo. Poses are in the terrain's
-    frame: `pose` makes them, or a matcher of the same elevation model.
+    frame: `pose` makes them, or a matcher of the same elevation model. Any thread may call it;
+    `close`, or the end of a ``with`` block, frees its memory on the GPU.
 
     Parameters
     ----------
-    terrain : path, paths or HeightField
+    terrain : path, paths, DataArray or HeightField
         The elevation model.
     peaks : Peaks, optional
         Names of summits.
     curvature : Curvature, optional
         Defaults to the Earth's with k = 0.13. A store's header has the curvature of its matcher.
     render_thread : RenderThread, optional
-        A thread that renders, so that any thread may call, with priority over a matcher that
-        renders there too. Without one only the thread that first calls `look` may call it.
+        A thread that renders, with priority over a matcher that renders there too.
     """
 
     def __init__(
@@ -243,10 +319,13 @@ class Viewer(Releasable):
         self._making = Lock()
         self._scene: RenderedScene | None = None
 
-    def release(self) -> None:
+    def __repr__(self) -> str:
+        return f"Viewer({self.terrain})"
+
+    def close(self) -> None:
         """Free the textures and buffers on the GPU."""
         if self._scene is not None:
-            self._scene.release()
+            self._scene.close()
 
     def pose(
         self,
@@ -270,6 +349,8 @@ class Viewer(Releasable):
         OffMapError
             The place is off the map or on a hole, or the eye is below the ground.
         """
+        refuse_text(heading_deg=heading_deg, pitch_deg=pitch_deg, roll_deg=roll_deg)
+        refuse_text(fov_deg=fov_deg, eye_height_m=eye_height_m)
         ground = stand_at_one(self.terrain, lon=lon, lat=lat, eye_height_m=0.0)
         eye_m = ground.eye_elevation_m + eye_height_m
         eye = at_elevation(self.terrain, ground.easting_m, ground.northing_m, eye_m)

@@ -16,7 +16,7 @@ import skyline_bench.cli
 from skyline import build_places, build_uniform, cli, read_dem, stand_on
 from skyline.cli.terminal import Terminal
 from skyline.match import search
-from skyline.render.context import acquire_context
+from skyline.render.context import held_context
 from skyline.survey import plans
 from skyline.survey.cluster import local_cluster
 
@@ -80,10 +80,11 @@ def install_font(tmp_path_factory, monkeypatch):
 @pytest.fixture
 def no_gl_error():
     """Fail a test during which OpenGL recorded an error."""
-    ctx = acquire_context().ctx
-    assert ctx.error == "GL_NO_ERROR"
+    with held_context() as context:
+        assert context.ctx.error == "GL_NO_ERROR"
     yield
-    assert acquire_context().ctx.error == "GL_NO_ERROR"
+    with held_context() as context:
+        assert context.ctx.error == "GL_NO_ERROR"
 
 
 @pytest.fixture(scope="module")

@@ -14,6 +14,7 @@ from skyline_bench import (
     paper,
     photos,
     repeat,
+    sky_view,
     speed,
     summits,
 )
@@ -24,6 +25,7 @@ COMMANDS: Mapping[str, Mapping[Callable[..., None], str]] = {
     "Skylines": {
         speed.speed_error: "9 minutes",
         speed.large_dem: "2 minutes",
+        sky_view.sky_view: "5 minutes",
         stability: "a minute",
         summits.summits: "a minute",
     },

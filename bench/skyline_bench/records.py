@@ -27,7 +27,7 @@ from skyline import HeightField
 from skyline.errors import ContextError, InputError, SkylineError
 from skyline.files import read_bytes, write_whole
 from skyline.geodesy.bounds import Bounds
-from skyline.render.context import acquire_context
+from skyline.render.context import held_context
 from skyline.store.read import open_store
 from skyline_bench.measuring import Row, core_count
 
@@ -238,9 +238,9 @@ def _git(folder: Path, *words: str) -> str | None:
 def machine() -> dict[str, object]:
     """Describe this machine, and its software that matters to measurements."""
     try:
-        context = acquire_context()
-        renderer = context.renderer
-        driver = context.version
+        with held_context() as context:
+            renderer = context.renderer
+            driver = context.version
     except ContextError:
         renderer = driver = "none"
     return {

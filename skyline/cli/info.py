@@ -10,7 +10,7 @@ from skyline.cli.facts import table_of
 from skyline.cli.options import AsJson, Crs, read_terrain
 from skyline.cli.terminal import Terminal
 from skyline.errors import InputError
-from skyline.render.context import acquire_context
+from skyline.render.context import held_context
 from skyline.store.read import is_store
 from skyline.tasks.describe import describe_store, describe_terrain
 
@@ -32,7 +32,10 @@ def info(
     terminal = Terminal.of(context, as_json)
     if not path and not gl:
         raise InputError("nothing to describe; name a DEM or a store, or give --gl")
-    facts: dict[str, object] = {**acquire_context().facts()} if gl else {}
+    facts: dict[str, object] = {}
+    if gl:
+        with held_context() as opengl:
+            facts |= opengl.facts()
     if path and len(path) == 1 and (is_store(path[0]) or _is_missing_store(path[0])):
         facts |= describe_store(path[0])
     elif path:

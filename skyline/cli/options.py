@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Argument, Option
 
 from skyline.cli.terminal import Terminal
-from skyline.errors import InputError, numbers_of, swapped_in_words
+from skyline.errors import InputError, numbers_in, swapped_in_words
 from skyline.geodesy.bounds import are_degrees
 
 if TYPE_CHECKING:
@@ -147,14 +147,14 @@ def parse_bounds(text: str) -> "Bounds":
     Raises `InputError` for anything else.
     """
     error = f"--bounds is `{text}`; expected W,S,E,N in degrees, e.g. 9.8,46.7,9.9,46.8"
-    west, south, east, north = numbers_of(text.split(","), 4, error)
+    west, south, east, north = numbers_in(text, 4, error)
     return west, south, east, north
 
 
 def parse_position(text: str) -> tuple[float, float]:
     """Return longitude and latitude from ``LON,LAT``; raises `InputError` for anything else."""
     error = f"--at is `{text}`; expected LON,LAT in degrees (WGS 84), e.g. 9.84,46.80"
-    lon, lat = numbers_of(text.split(","), 2, error)
+    lon, lat = numbers_in(text, 2, error)
     if not are_degrees(lon, lat):
         swapped = f"; {swapped_in_words(lon, lat)}" if are_degrees(lat, lon) else ""
         raise InputError(error + swapped)

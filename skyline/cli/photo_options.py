@@ -13,7 +13,7 @@ from typer import Argument, Option
 from skyline.batch import Entry
 from skyline.camera import Projection
 from skyline.cli.options import panel, parse_bounds
-from skyline.errors import InputError, numbers_of
+from skyline.errors import InputError, numbers_in
 from skyline.match.prior import NOTED_KM, Narrowing
 from skyline.peaks import find_place
 
@@ -151,10 +151,9 @@ def parse_near(text: str, gazetteer: Path | None) -> tuple[float, float, float]:
     expected = "expected LON,LAT,KM, or with --peaks FILE a name in that file"
     error = f"--near is `{text}`; {expected}"
     if is_numbers(text):
-        given = text.split(",")
-        if len(given) == 4:
+        if text.count(",") == 3:
             error = f"--near is `{text}`; expected LON,LAT,KM: give W,S,E,N as --bounds"
-        lon, lat, km = numbers_of(given, 3, error)
+        lon, lat, km = numbers_in(text, 3, error)
         return lon, lat, km
     name, _, km_text = text.rpartition(",")
     if not name or not km_text.strip().replace(".", "", 1).isdigit():

@@ -1,11 +1,13 @@
 """The Earth's radius, curvature less refraction, and range of ground."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from skyline.arrays import Float64Array
+from skyline.arrays import Float64Array, refuse_text
 from skyline.errors import InputError
 
 EARTH_RADIUS_M = 6371008.8
@@ -30,6 +32,7 @@ class Curvature:
     """False leaves the plane flat."""
 
     def __post_init__(self) -> None:
+        refuse_text(radius_m=self.radius_m, refraction_k=self.refraction_k)
         if not (np.isfinite(self.radius_m) and self.radius_m > 0.0):
             raise InputError(
                 f"planet radius is {self.radius_m} m; expected a positive number of metres"
@@ -46,4 +49,5 @@ class Curvature:
 
     def drop_m(self, distance_m: ArrayLike) -> Float64Array:
         """Return the drop in metres at horizontal distances in metres."""
+        refuse_text(distance_m=distance_m)
         return self.drop_per_m2 * np.square(np.asarray(distance_m, dtype=np.float64))

@@ -3,6 +3,8 @@
 Inside the program a position is (easting, northing) in one metric frame.
 """
 
+from __future__ import annotations
+
 import math
 from dataclasses import dataclass
 from functools import cached_property
@@ -11,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pyproj import CRS, Geod, Transformer
 
-from skyline.arrays import Complex128Array, Float64Array
+from skyline.arrays import Complex128Array, Float64Array, refuse_text
 from skyline.errors import InputError
 from skyline.geodesy.bounds import Bounds, check_bounds, width_deg
 from skyline.geodesy.crs import is_metric, parse_crs, transformer, without_vertical
@@ -34,15 +36,18 @@ _LOCAL = "local transverse Mercator"
 _WGS84 = Geod(ellps="WGS84")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Frame:
     """A metric map frame: the DEM's own CRS or a local one."""
 
     wkt: str
     """The CRS as well-known text."""
 
+    def __repr__(self) -> str:
+        return f"Frame({self.name})"
+
     @classmethod
-    def from_crs(cls, crs: object) -> "Frame":
+    def from_crs(cls, crs: object) -> Frame:
         """Return the frame of anything that pyproj understands as a metric CRS.
 
         The vertical axis of a compound or three-dimensional CRS is left out. Raises `InputError`
@@ -57,8 +62,9 @@ class Frame:
         return cls(parsed.to_wkt())
 
     @classmethod
-    def local(cls, *, lon: float, lat: float) -> "Frame":
+    def local(cls, *, lon: float, lat: float) -> Frame:
         """Return the conformal transverse Mercator frame (WGS 84) through a point."""
+        refuse_text(lon=lon, lat=lat)
         definition = CRS.from_proj4(
             f"+proj=tmerc +lat_0={lat:.9f} +lon_0={lon:.9f} +k=1 +x_0=0 +y_0=0 "
             "+ellps=WGS84 +datum=WGS84 +units=m +no_defs"
@@ -90,6 +96,7 @@ class Frame:
         self, easting_m: ArrayLike, northing_m: ArrayLike
     ) -> tuple[Float64Array, Float64Array]:
         """Return longitude and latitude (WGS 84, degrees) of map coordinates."""
+        refuse_text(easting_m=easting_m, northing_m=northing_m)
         lon, lat = self._to_lonlat.transform(easting_m, northing_m)
         return np.asarray(lon, dtype=np.float64), np.asarray(lat, dtype=np.float64)
 
@@ -110,6 +117,7 @@ class Frame:
 
     def from_lonlat(self, lon: ArrayLike, lat: ArrayLike) -> tuple[Float64Array, Float64Array]:
         """Return easting and northing in metres of longitudes and latitudes (WGS 84)."""
+        refuse_text(lon=lon, lat=lat)
         easting, northing = self._to_lonlat.transform(lon, lat, direction="INVERSE")
         return np.asarray(easting, dtype=np.float64), np.asarray(northing, dtype=np.float64)
 

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from skyline.arrays import refuse_text
 from skyline.errors import InputError
 
 
@@ -33,6 +34,7 @@ class MatchConfig:
     fov_sd_share: float = 0.025
 
     def __post_init__(self) -> None:
+        refuse_text(min_confidence=self.min_confidence, fov_sd_share=self.fov_sd_share)
         if not 0.0 <= self.min_confidence <= 1.0:
             raise InputError(
                 f"least confidence is {self.min_confidence}; expected 0 (always answer) to 1"

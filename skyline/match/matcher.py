@@ -1,5 +1,7 @@
 """`Matcher`: matches photos to a store, and to the store's terrain."""
 
+from __future__ import annotations
+
 import logging
 import time
 from collections.abc import Iterable, Mapping, Sequence
@@ -27,7 +29,7 @@ from skyline.photo.read import named_skyline
 from skyline.photo.skyline import PhotoSkyline
 from skyline.plugins import load
 from skyline.pose import Pose
-from skyline.render.context import Releasable, RenderThread
+from skyline.render.context import Closeable, RenderThread
 from skyline.render.horizon import RenderConfig, RenderedScene
 from skyline.store.layout import StoreHeader
 from skyline.store.merge import open_joined
@@ -46,15 +48,17 @@ _ALONE = "no other photo shows enough skyline to be compared with it"
 FULL = "full"
 
 
-class Matcher(Releasable):
+class Matcher(Closeable):
     """Matches skylines to a store, which is read once.
+
+    Any thread may match. `close`, or the end of a ``with`` block, frees the memory on the GPU.
 
     Parameters
     ----------
     store : path or paths
         Several stores, of one DEM and configuration, are searched as the one store that
         `skyline.store.merge.merge_stores` writes of them.
-    dem : path, paths or HeightField, optional
+    dem : path, paths, DataArray or HeightField, optional
         The DEM that the store was rendered from; by default it is read from the file that the store
         names. The full matcher takes heights from it, and renders it for refinement. If it cannot
         be read, a warning is logged and answers stay unrefined.
@@ -64,9 +68,10 @@ class Matcher(Releasable):
     config : MatchConfig, optional
         Settings of the search, and the confidence from which there is an answer.
     render_thread : RenderThread, optional
-        A thread that renders, so that any thread may match, and several at a time. By default the
-        thread that makes the matcher renders, and only that thread may match.
-    surface : path, paths or HeightField, optional
+        A thread that renders, for programs that also render something more urgent, as a page does:
+        it comes between the pieces of a match. Any thread may match, and several at a time, with or
+        without it.
+    surface : path, paths, DataArray or HeightField, optional
         A surface or canopy model: the height to which trees and houses may rise above the DEM's
         skyline. The full matcher uses it in refinement.
 
@@ -123,10 +128,14 @@ class Matcher(Releasable):
         """The eyes of the store, or an even selection of very many."""
         return self._method.eyes()
 
-    def release(self) -> None:
+    def __repr__(self) -> str:
+        refined = "answers refined" if self._scene is not None else "answers not refined"
+        return f"Matcher({self.rows} {self.holds}, {refined})"
+
+    def close(self) -> None:
         """Free the matcher's GPU memory; it cannot refine after that."""
         if self._scene is not None:
-            self._scene.release()
+            self._scene.close()
 
     def match(
         self,
@@ -262,7 +271,7 @@ class Matcher(Releasable):
         photos: Sequence[Picture | PhotoSkyline],
         fov_deg: float | None,
         narrowings: Sequence[Narrowing | None] | None,
-    ) -> "list[_Photo]":
+    ) -> list[_Photo]:
         """Return the photos of one place; raises `InputError` for fewer than two."""
         if isinstance(photos, str | Path | PhotoSkyline | Image):
             photos = [photos]

@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, replace
 from html import escape
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from pyproj import Geod
@@ -15,6 +15,10 @@ from skyline.match.prior import Narrowing
 from skyline.photo.noted_place import NOTHING_NOTED
 from skyline.photo.skyline import PhotoSkyline
 from skyline.pose import COLUMNS, ROUGHLY_WITHIN_M, Pose
+
+if TYPE_CHECKING:
+    from geopandas import GeoDataFrame
+    from pandas import DataFrame
 
 TOP = 5
 """Candidates that a search returns, unless it is asked for another number."""
@@ -274,12 +278,12 @@ class MatchResult:
             lines.append(lens.in_words)
         return "\n  ".join(filter(None, [*lines, self.exif_in_words()]))
 
-    def to_dataframe(self) -> Any:
+    def to_dataframe(self) -> "DataFrame":
         """Return the candidates as a pandas DataFrame, one row each, best first."""
         pandas = library("pandas", "a DataFrame")
         return pandas.DataFrame([one.to_dict() for one in self.candidates])
 
-    def to_geodataframe(self) -> Any:
+    def to_geodataframe(self) -> "GeoDataFrame":
         """Return the candidates as points of a GeoDataFrame; see `skyline.to_geodataframe`."""
         return to_geodataframe([self])
 
@@ -399,14 +403,14 @@ class JointResult:
             lines.append(f"{printable(result.name)}: {view}")
         return "\n  ".join(lines)
 
-    def to_dataframe(self) -> Any:
+    def to_dataframe(self) -> "DataFrame":
         """Return the cameras as a pandas DataFrame, one row a photo.
 
         See `skyline.to_dataframe`.
         """
         return to_dataframe(self.results)
 
-    def to_geodataframe(self) -> Any:
+    def to_geodataframe(self) -> "GeoDataFrame":
         """Return the cameras as points of a GeoDataFrame; see `skyline.to_geodataframe`."""
         return to_geodataframe(self.results)
 
@@ -435,7 +439,7 @@ def listed(results: Any) -> list[Any]:
     return list(results)
 
 
-def to_dataframe(results: Iterable[Tabled]) -> Any:
+def to_dataframe(results: Iterable[Tabled]) -> "DataFrame":
     """Return results as a table, one row each.
 
     Returns
@@ -452,7 +456,7 @@ def to_dataframe(results: Iterable[Tabled]) -> Any:
     return library("pandas", "a DataFrame").DataFrame([one.to_row() for one in listed(results)])
 
 
-def to_geodataframe(results: Iterable[MatchResult]) -> Any:
+def to_geodataframe(results: Iterable[MatchResult]) -> "GeoDataFrame":
     """Return the candidates of results as points, one row each.
 
     Returns

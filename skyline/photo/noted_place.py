@@ -34,7 +34,7 @@ _DATUM_NAME = re.compile(r"[\w -]{1,30}")
 T = TypeVar("T")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class NotedPlace:
     """The place and the heading that a photo notes.
 
@@ -65,6 +65,11 @@ class NotedPlace:
     accuracy_m: float | None = None
     left_aside: str = ""
     takeoff_height_m: float | None = None
+
+    def __repr__(self) -> str:
+        values = ((name, getattr(self, name)) for name in self.__dataclass_fields__)
+        noted = ", ".join(f"{name}={value!r}" for name, value in values if value not in (None, ""))
+        return f"NotedPlace({noted})"
 
 
 NOTHING_NOTED = NotedPlace()

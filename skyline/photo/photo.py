@@ -1,12 +1,14 @@
 """A photo as read: its pixels, and its file's notes."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, replace
 
 import numpy as np
 from PIL import Image, ImageOps
 from PIL.ExifTags import IFD
 
-from skyline.arrays import UInt8Array
+from skyline.arrays import ShortRepr, UInt8Array, refuse_text
 from skyline.camera import Projection
 from skyline.errors import InputError
 from skyline.photo.image import Picture, name_of, opened_image, rgb_of, shrink_if_large
@@ -17,8 +19,8 @@ from skyline.photo.xmp import xmp_of
 from skyline.tables import is_table
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Photo:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Photo(ShortRepr):
     """An image file's pixels and the file's notes on the camera.
 
     Attributes
@@ -84,6 +86,7 @@ def read_photo(
         The file cannot be decoded, or is a sliver.
     """
     projection = None if projection is None else Projection(projection)
+    refuse_text(fov_deg=fov_deg)
     check_fov(fov_deg, projection)
     name = name_of(path)
     with opened_image(path) as image:

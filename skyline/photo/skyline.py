@@ -1,10 +1,12 @@
 """Skylines of photos in pixels, and lenses that their files note."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skyline.arrays import BoolArray, Float64Array
+from skyline.arrays import BoolArray, Float64Array, refuse_text
 from skyline.camera import MIN_FOV_DEG, Projection, from_middle
 from skyline.errors import InputError
 from skyline.photo.noted_place import NOTHING_NOTED, NotedPlace
@@ -90,6 +92,7 @@ class PhotoSkyline:
     crests: Float64Array | None = None
 
     def __post_init__(self) -> None:
+        refuse_text(width_px=self.width_px, height_px=self.height_px, fov_deg=self.fov_deg)
         shapes: dict[str, tuple[int, ...]] = {
             "row_px": (self.width_px,),
             "trust": (self.width_px,),
@@ -97,6 +100,7 @@ class PhotoSkyline:
         if self.crests is not None:
             shapes["crests"] = (3, self.width_px)
         for name, shape in shapes.items():
+            refuse_text(**{name: getattr(self, name)})
             values = np.ma.array(getattr(self, name), dtype=np.float64).filled(np.nan)
             if values.shape != shape:
                 raise InputError(
@@ -141,7 +145,7 @@ class PhotoSkyline:
         likeliest = rows[other.argmax(axis=0), np.arange(self.width_px)]
         return np.where(other.any(axis=0), likeliest, np.nan)
 
-    def with_fov(self, fov_deg: float) -> "PhotoSkyline":
+    def with_fov(self, fov_deg: float) -> PhotoSkyline:
         """Return the same skyline with another horizontal field of view, degrees."""
         return replace(self, fov_deg=fov_deg, lens=None)
 

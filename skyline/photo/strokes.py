@@ -8,7 +8,7 @@ from typing import Self
 import cv2
 import numpy as np
 
-from skyline.arrays import BoolArray, Float64Array, IntArray, UInt8Array
+from skyline.arrays import BoolArray, Float64Array, IntArray, UInt8Array, refuse_text
 from skyline.errors import InputError
 
 
@@ -56,6 +56,7 @@ class Stroke:
     radius_px: float = 0.0
 
     def __post_init__(self) -> None:
+        refuse_text(points_px=self.points_px, radius_px=self.radius_px)
         if not self.points_px or not np.isfinite(self.points_px).all():
             raise InputError(
                 f"a stroke has {len(self.points_px)} points; expected at least one, all finite"

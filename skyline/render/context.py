@@ -4,9 +4,9 @@ OpenGL 4.3 is required, for its compute shaders. Contexts are tried in this orde
 EGL on Mesa's software rasterizer, OSMesa; ``SKYLINE_GL=egl`` or ``SKYLINE_GL=osmesa`` allows one of
 them alone.
 
-The context belongs to the thread that first acquired it. A child that is forked afterwards cannot
-use it: a fork does not copy the threads of a driver (measured: Mesa hangs there). A program of many
-threads gives all its rendering to a `RenderThread`.
+Threads take turns with the one context of a process: it is current in a thread while that thread
+holds it, and in none otherwise. A child that is forked afterwards cannot use it: a fork does not
+copy the threads of a driver (measured: Mesa hangs there).
 """
 
 import atexit
@@ -16,14 +16,14 @@ import queue
 import re
 import threading
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
-from contextlib import suppress
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
 from enum import IntEnum
-from functools import cache, partial
+from functools import cache, partial, wraps
 from pathlib import Path
-from typing import Any, Self, TypeVar
+from typing import Any, ParamSpec, Self, TypeVar
 from weakref import WeakValueDictionary
 
 import moderngl
@@ -32,6 +32,7 @@ from skyline.errors import ContextError, InputError
 from skyline.render.osmesa import OsMesaContext
 
 T = TypeVar("T")
+Parameters = ParamSpec("Parameters")
 
 ENVIRONMENT_VARIABLE = "SKYLINE_GL"
 BACKENDS = {"egl": "libegl1 libgl1-mesa-dri", "osmesa": "libosmesa6"}
@@ -105,99 +106,95 @@ class GlContext:
 
 
 class SharedContext:
-    """One context for all renderers, owned by a process and a thread."""
+    """One context for all renderers of a process, whose threads hold it in turn."""
 
     def __init__(self, libraries: GlLibraries = GlLibraries()) -> None:
         self._libraries = libraries
-        self._lock = threading.Lock()
+        self._turn = threading.RLock()
+        self._holds = 0
         self._context: GlContext | None = None
         self._process: int | None = None
-        self._thread = threading.current_thread()
 
-    def acquire(self) -> GlContext:
-        """Return the context, current in this thread; make it on first use.
+    @contextmanager
+    def held(self) -> Iterator[GlContext]:
+        """Hold the context for the block, current in this thread; make it on first use.
 
-        Calling again is cheap: it makes the context current again where other code has put its own
-        in place, and frees what has no holder any more. Raises `ContextError` if no backend gives
-        OpenGL 4.3, or if the context belongs to another thread or to the process that this one was
-        forked from, and `InputError` if ``SKYLINE_GL`` names no backend.
+        Another thread waits until the block ends. Blocks may be nested; the outermost one also
+        frees what has no holder any more. Raises `ContextError` if no backend gives OpenGL 4.3, or
+        if the context belongs to the process that this one was forked from, and `InputError` if
+        ``SKYLINE_GL`` names no backend.
         """
-        # This comes before the lock, which another thread of the parent may have held during the
-        # fork.
+        # This comes before the turn, which another thread of the parent may have had at the fork.
         if self._process not in (None, os.getpid()):
             raise ContextError(
                 f"process {os.getpid()} was forked from process {self._process}, which had an "
                 "OpenGL context, and no context survives a fork; start workers with "
                 'multiprocessing\'s "spawn" method, or fork before rendering'
             )
-        with self._lock:
-            if self._context is None:
-                self._context = _choose_context(self._libraries)
+        with self._turn:
+            context = self._context
+            if context is None:
+                self._context = context = _choose_context(self._libraries)
                 self._process = os.getpid()
-                self._thread = threading.current_thread()
-            elif self._thread is not threading.current_thread():
-                raise self._refuse_thread()
-            else:
-                self._context.native.__enter__()
-                self._context.ctx.gc()
-            return self._context
+            elif not self._holds:
+                context.native.__enter__()
+                context.ctx.gc()
+            self._holds += 1
+            try:
+                yield context
+            finally:
+                self._holds -= 1
+                if not self._holds:
+                    context.native.__exit__(None, None, None)
 
-    def _refuse_thread(self) -> ContextError:
-        owner = self._thread
-        caller = threading.current_thread()
-        remedy = (
-            "render in that thread, or in a process of its own"
-            if owner.is_alive()
-            else "the owner has ended: call release_context() and make new renderers"
-        )
-        return ContextError(
-            f"thread {caller.name!r} asked for the OpenGL context of thread {owner.name!r}; "
-            f"{remedy}"
-        )
-
-    def release(self) -> None:
+    def release(self, is_patient: bool = True) -> None:
         """Release the context and all that renderers made in it.
 
-        Does nothing where there is no context. Raises `ContextError` where the context belongs to
-        another thread that still lives.
+        Does nothing where there is no context, nor, unless it ``is_patient``, while a thread
+        renders.
         """
         # Only the process that made the context may release it.
-        if self._process != os.getpid():
+        if self._process != os.getpid() or not self._turn.acquire(blocking=is_patient):
             return
-        with self._lock:
+        try:
             if self._context is not None:
-                if self._thread.is_alive() and self._thread is not threading.current_thread():
-                    raise self._refuse_thread()
                 _destroy(self._context)
             self._context = None
+        finally:
+            self._turn.release()
 
 
 @cache
 def process_context() -> SharedContext:
     """Return the context that all renderers of this process share.
 
-    It is released when the process exits.
+    It is released when the process exits, unless a thread that outlives the interpreter is
+    rendering: the system then frees the context.
     """
     shared = SharedContext()
-
-    def release() -> None:
-        # A thread that outlives the interpreter may be rendering; the system then frees the
-        # context.
-        with suppress(ContextError):
-            shared.release()
-
-    atexit.register(release)
+    atexit.register(shared.release, is_patient=False)
     return shared
 
 
-def acquire_context() -> GlContext:
-    """Return the process's context; see `SharedContext.acquire`."""
-    return process_context().acquire()
+def held_context() -> AbstractContextManager[GlContext]:
+    """Hold the process's context; see `SharedContext.held`."""
+    return process_context().held()
 
 
 def release_context() -> None:
     """Release the process's context; see `SharedContext.release`."""
     process_context().release()
+
+
+def in_context(method: Callable[Parameters, T]) -> Callable[Parameters, T]:
+    """Let a function hold the process's context while it runs."""
+
+    @wraps(method)
+    def holding(*arguments: Parameters.args, **named: Parameters.kwargs) -> T:
+        with held_context():
+            return method(*arguments, **named)
+
+    return holding
 
 
 def _choose_context(libraries: GlLibraries) -> GlContext:
@@ -333,32 +330,34 @@ def compile_shaders(ctx: moderngl.Context, *names: str, defines: Mapping[str, st
         raise ContextError(f"the driver refuses {' + '.join(names)}: {log}") from error
 
 
-class Releasable(ABC):
+class Closeable(ABC):
     """Base of objects with memory on the GPU.
 
-    Leaving their ``with`` block releases the memory.
+    Leaving their ``with`` block frees the memory.
     """
 
     @abstractmethod
-    def release(self) -> None:
-        """Free the memory on the GPU."""
+    def close(self) -> None:
+        """Free the memory on the GPU; closing twice is fine."""
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.release()
+        self.close()
 
 
-class Renderer(Releasable):
+class Renderer(Closeable):
     """Holds objects of the OpenGL context until nothing needs them."""
 
     def __init__(self, name: str) -> None:
-        self._context = acquire_context()
+        with held_context() as context:
+            self._context = context
         self.description = f"{name}; {self._context.renderer}"
         """Name of this rasterizer and of the OpenGL renderer under it, for records."""
 
-    def release(self) -> None:
+    @in_context
+    def close(self) -> None:
         """Free this renderer's buffers, textures and programs; the context stays for others."""
         ctx = self._context.ctx
         # A framebuffer must not be bound after its release.
@@ -378,10 +377,7 @@ class _Rank(IntEnum):
 
 
 class RenderThread:
-    """Runs tasks one after another on one thread, the urgent ones first.
-
-    Renderers that are made in tasks are used and released in tasks alone.
-    """
+    """Runs tasks one after another on one thread, the urgent ones first."""
 
     def __init__(self) -> None:
         # Numbers keep the order within a rank, and futures from being compared.
@@ -410,7 +406,7 @@ class RenderThread:
         return future.result()
 
     def close(self) -> None:
-        """Finish waiting tasks, release the OpenGL context, end the thread."""
+        """Finish waiting tasks, and end the thread; closing twice is fine."""
         with self._closing:
             if not self._closed:
                 self._closed = True
@@ -427,8 +423,6 @@ class RenderThread:
         while True:
             _, _, future, task = self._tasks.get()
             if task is None:
-                with suppress(ContextError):  # The context belongs to another thread.
-                    release_context()
                 return
             try:
                 future.set_result(task())

@@ -15,7 +15,7 @@ from pyrr import matrix44
 from skyline.arrays import Float32Array, Float64Array
 from skyline.errors import InputError
 from skyline.geodesy.earth import Curvature
-from skyline.render.context import Renderer, compile_shaders
+from skyline.render.context import Renderer, compile_shaders, in_context
 from skyline.skylines import (
     DEFAULT_WIDTH,
     FLAG_OUT_OF_IMAGE,
@@ -47,6 +47,7 @@ class DepthRenderer(Renderer):
     OpenGL context can be made.
     """
 
+    @in_context
     def __init__(
         self,
         field: HeightField,
@@ -107,6 +108,7 @@ class DepthRenderer(Renderer):
         lowest_m = self.field.height_range_m[0]
         return raised_to_dip(views, columns_u(self.width), lowest_m, self.curvature)
 
+    @in_context
     def depth_images(self, viewpoints: Viewpoints, index: int) -> Float32Array:
         """Return one viewpoint's forward depths in metres, (4, W, W).
 

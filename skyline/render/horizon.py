@@ -3,6 +3,8 @@
 `RenderedScene` renders views of one terrain piece by piece, on the thread that owns the context.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property, partial
@@ -14,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from skyline.arrays import Int64Array
 from skyline.errors import InputError
 from skyline.geodesy.earth import Curvature
-from skyline.render.context import RenderThread, acquire_context
+from skyline.render.context import RenderThread
 from skyline.render.field_windows import GpuLimits
 from skyline.render.march import NEAR_ERROR_PX, ColumnRenderer
 from skyline.skylines import (
@@ -28,6 +30,7 @@ from skyline.skylines import (
     quadrant_azimuths_rad,
 )
 from skyline.terrain.data_edge import DataEdge
+from skyline.terrain.dem import Dem, read_dem
 from skyline.terrain.heightfield import HeightField, ground_of
 from skyline.terrain.viewpoints import Viewpoints, in_four_views
 
@@ -78,23 +81,20 @@ class HorizonRenderer(ColumnRenderer):
         return self._skylines(eyes, heading, np.zeros(len(eyes)))
 
 
-def render_views(
-    terrain: HeightField, viewpoints: Viewpoints, config: RenderConfig | None = None
-) -> Views:
+def render_views(terrain: Dem, viewpoints: Viewpoints, config: RenderConfig | None = None) -> Views:
     """Render skylines of viewpoints to their four headings, as 4 N views.
 
     The headings are grid north, east, south and west.
     """
     config = config or RenderConfig()
-    with HorizonRenderer(terrain, config) as renderer:
+    with HorizonRenderer(read_dem(terrain), config) as renderer:
         return renderer.render(viewpoints)
 
 
 class RenderedScene:
     """Renders skylines of a terrain, and of its surface if given.
 
-    With a ``thread`` all views are rendered on it, piece by piece; without one only the thread that
-    makes the scene may render.
+    Any thread may render. With a ``thread`` all views are rendered on it, piece by piece.
     """
 
     def __init__(
@@ -126,11 +126,11 @@ class RenderedScene:
         """Render each eye's view along its heading (N,).
 
         Views of the terrain come first, then those of the surface. Where a thread renders for all,
-        it renders ``urgent`` views first, between the pieces of others. Raises `InputError` after a
-        release, and `ContextError` in another thread than the maker's.
+        it renders ``urgent`` views first, between the pieces of others. Raises `InputError` where
+        the scene is closed.
         """
         if not self._renderers:
-            raise InputError("the matcher or viewer has been released; make another one")
+            raise InputError("the matcher or viewer is closed; make another one")
         along = np.asarray(headings, dtype=np.uint8)
         step = len(along) if self._thread is None else self._piece
         starts = range(0, max(len(along), 1), max(step, 1))
@@ -142,17 +142,14 @@ class RenderedScene:
             for one in self._renderers
         ]
 
-    def release(self) -> None:
-        """Free the GPU memory of the scene."""
+    def close(self) -> None:
+        """Free the GPU memory of the scene; closing twice is fine."""
         for renderer in self._renderers:
-            self._run(renderer.release)
+            self._run(renderer.close)
         self._renderers.clear()
 
     def _run(self, task: Callable[[], _T], urgent: bool = False) -> _T:
-        if self._thread is not None:
-            return self._thread.run(task, urgent)
-        acquire_context()
-        return task()
+        return task() if self._thread is None else self._thread.run(task, urgent)
 
 
 class PanoramaRenderer(ColumnRenderer):

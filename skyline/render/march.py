@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from skyline.arrays import BoolArray, Float32Array, Float64Array, IntArray, UInt8Array
 from skyline.errors import ContextError, InputError
 from skyline.geodesy.earth import Curvature
-from skyline.render.context import Renderer, compile_shaders
+from skyline.render.context import Renderer, compile_shaders, in_context
 from skyline.render.field_windows import SLOPE_BINS, GpuLimits, Window, WindowTextures
 from skyline.skylines import FLAG_NO_DATA, HEADINGS, Views, raised_to_dip, rotation
 from skyline.terrain.heightfield import HeightField
@@ -225,6 +225,7 @@ class ColumnRenderer(Renderer):
     context can be made.
     """
 
+    @in_context
     def __init__(
         self,
         name: str,
@@ -257,12 +258,13 @@ class ColumnRenderer(Renderer):
         self._windows = Window.all_of(field, self._limits)
         self._resident: dict[Window, WindowTextures] = {}
 
-    def release(self) -> None:
+    @in_context
+    def close(self) -> None:
         """Free this renderer's memory on the GPU."""
         self._results = ()
         self._programs = {}
         self._resident = {}
-        super().release()
+        super().close()
 
     @property
     def is_resident(self) -> bool:
@@ -273,6 +275,7 @@ class ColumnRenderer(Renderer):
         samples = sum(window.samples for window in self._windows)
         return samples <= self._limits.resident_samples
 
+    @in_context
     def _skylines(
         self, viewpoints: Viewpoints, heading: UInt8Array, turn_rad: Float64Array
     ) -> Views:

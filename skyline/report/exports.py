@@ -6,6 +6,8 @@ waypoints, which navigation devices and hiking maps read. The places of a store 
 GeoPackage.
 """
 
+from __future__ import annotations
+
 import io
 import json
 import math

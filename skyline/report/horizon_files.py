@@ -23,7 +23,7 @@ def write_horizons(horizons: LocalHorizons, path: Path) -> None:
     Raises `InputError` where the suffix is unknown, the file cannot be written, or a ``.txt`` would
     hold several places, a surface, or an unknown value.
     """
-    write_whole(path, entry_named("the suffix", path.suffix.lower(), KINDS)(horizons))
+    write_whole(path, entry_named("the suffix", path.suffix.lower(), KINDS)(horizons.ravel()))
 
 
 def horizon_csv(horizons: LocalHorizons) -> str:

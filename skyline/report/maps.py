@@ -4,6 +4,8 @@ Light falls from the north-west. A tile is a part of the Web Mercator map (EPSG:
 span the world, x counts from the west, y from the north.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Sequence
 from typing import Any
@@ -28,6 +30,7 @@ from skyline.geodesy.map_frame import Frame
 from skyline.peaks import Sighting
 from skyline.pose import Ellipse, Pose, view_wedge_m
 from skyline.report.labels import Label, UnnamedPeaks, labels_of
+from skyline.terrain.dem import Dem, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 
@@ -298,8 +301,8 @@ def tint_range_m(heights: FloatArray) -> tuple[float, float]:
 class ReliefTiles:
     """Draws tiles of one elevation model, from any thread."""
 
-    def __init__(self, terrain: HeightField) -> None:
-        self._terrain = terrain
+    def __init__(self, terrain: Dem) -> None:
+        self._terrain = terrain = read_dem(terrain)
         step = max(1, max(terrain.rows, terrain.cols) // 512)
         self._range_m = tint_range_m(terrain.heights_m[::step, ::step])
         self.bounds_deg = terrain.box_deg

@@ -1,5 +1,7 @@
 """Reports of matches: a folder with one page, its pictures, and GeoJSON."""
 
+from __future__ import annotations
+
 import contextlib
 import datetime
 import shutil

@@ -1,5 +1,7 @@
 """Panoramas to print: fading terrain, ridges, a compass and named summits."""
 
+from __future__ import annotations
+
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -25,8 +27,7 @@ from skyline.report.panorama_view import (
     panorama_view,
     row_count,
 )
-from skyline.terrain.dem import Dem
-from skyline.terrain.heightfield import HeightField
+from skyline.terrain.dem import Dem, read_dem
 from skyline.terrain.surface_model import read_surface
 from skyline.terrain.viewpoints import stand_at_one
 
@@ -67,7 +68,7 @@ _log = logging.getLogger(__name__)
 
 
 def save_panorama(
-    terrain: HeightField,
+    terrain: Dem,
     path: str | Path,
     *,
     lon: float,
@@ -80,13 +81,15 @@ def save_panorama(
 
     Parameters
     ----------
+    terrain : path, paths, DataArray or HeightField
+        The elevation model.
     path : str or Path
         ``.png``, ``.svg`` or ``.pdf``.
     lon, lat : float
         Degrees (WGS 84).
     peaks : Peaks, optional
         Named summits; see `skyline.read_peaks`.
-    surface : path, paths or HeightField, optional
+    surface : path, paths, DataArray or HeightField, optional
         A surface or canopy model: a green line shows how far trees and houses may rise.
 
     Returns
@@ -106,6 +109,7 @@ def save_panorama(
         A surface is given and no OpenGL context can be created.
     """
     suffix_of(path, PANORAMA_SUFFIXES)
+    terrain = read_dem(terrain)
     over = None if surface is None else read_surface(surface, terrain)
     config = config or PanoramaConfig()
     eye = stand_at_one(
@@ -184,7 +188,7 @@ class _Row:
     @classmethod
     def of(
         cls, view: PanoramaView, row: int, labels: Sequence[Label[Sighting]], figure: Figure
-    ) -> "_Row":
+    ) -> _Row:
         """Return a row of a view, with its share of the labels.
 
         Its range of elevations is 12 degrees or more, down to 7 degrees below the lowest skyline.

@@ -12,7 +12,7 @@ from typing import Self
 
 import numpy as np
 
-from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array
+from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array, refuse_text
 from skyline.errors import InputError
 from skyline.geodesy.earth import Curvature
 from skyline.horizons import horizons_of
@@ -59,6 +59,7 @@ class PanoramaConfig:
     summit_within_m: float | None = None
 
     def __post_init__(self) -> None:
+        refuse_text(heading_deg=self.heading_deg, fov_deg=self.fov_deg)
         if not (5.0 <= self.fov_deg <= 360.0 and math.isfinite(self.heading_deg)):
             raise InputError(
                 f"heading is {self.heading_deg:g} and field of view {self.fov_deg:g} degrees; "

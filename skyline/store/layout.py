@@ -9,6 +9,8 @@ zeros, and the Fletcher-32 of zeros is zero. So each row also has a CRC-32, whic
 shows which rows are whole when others are not, and is copied with the row from store to store.
 """
 
+from __future__ import annotations
+
 import hashlib
 import json
 import re
@@ -24,7 +26,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from skyline.arrays import UInt8Array
+from skyline.arrays import ShortRepr, UInt8Array
 from skyline.errors import SkylineError, StoreError, StoreMismatchError
 from skyline.files import STORE_SCHEMA
 from skyline.geodesy.bounds import Bounds
@@ -120,8 +122,8 @@ UNREADABLE = (OSError, RuntimeError, KeyError, ValueError, TypeError, OverflowEr
 """The exceptions of h5py on files that are damaged or made by another program."""
 
 
-@dataclass(frozen=True, slots=True)
-class StoreHeader:
+@dataclass(frozen=True, slots=True, repr=False)
+class StoreHeader(ShortRepr):
     """The DEM and the settings that a store was built from.
 
     Attributes
@@ -224,12 +226,12 @@ class StoreHeader:
         return [tuple(box) for box in (bounds if isinstance(bounds[0], list) else [bounds])]
 
     @property
-    def anywhere(self) -> "StoreHeader":
+    def anywhere(self) -> StoreHeader:
         """The header without its boxes: joinable stores agree in it."""
         config = {key: value for key, value in self.config.items() if key != "bounds_deg"}
         return replace(self, config=config)
 
-    def covers(self, other: "StoreHeader") -> bool:
+    def covers(self, other: StoreHeader) -> bool:
         """Return whether this store has all boxes of another one."""
         held = self.boxes_deg
         wanted = other.boxes_deg

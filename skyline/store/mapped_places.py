@@ -55,6 +55,9 @@ class PlaceMap:
             name: sliding_window_view(data, row.itemsize) for name, row in self._types.items()
         }
 
+    def __repr__(self) -> str:
+        return f"PlaceMap({len(self)} places)"
+
     def __len__(self) -> int:
         """Return the number of places."""
         return self._places
@@ -188,6 +191,9 @@ class JoinedPlaces(PlaceMap):
         self._maps = maps
         self._order = order
         self._starts = np.cumsum([0, *(len(one) for one in maps)])
+
+    def __repr__(self) -> str:
+        return f"PlaceMap({len(self)} places)"
 
     def __len__(self) -> int:
         """Return the number of places."""

@@ -168,7 +168,7 @@ def decode_phases(codes: UInt8Array) -> Complex64Array:
     return looked_up(codes, _WAVES)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Places(Rows):
     """N places; 692 bytes each.
 

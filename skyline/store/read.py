@@ -4,6 +4,8 @@ A file is a store if its header has the digest that was written with it, its dat
 layout that the header gives, and no dataset keeps bytes in another file.
 """
 
+from __future__ import annotations
+
 import hashlib
 import io
 import json
@@ -12,7 +14,7 @@ from collections.abc import Mapping
 from contextlib import ExitStack
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import h5py
 import numpy as np
@@ -40,6 +42,10 @@ from skyline.store.mapped_places import PlaceMap
 from skyline.store.xarray_export import dataset_of_places, dataset_of_views, table_of_places
 from skyline.terrain.heightfield import facts_html
 from skyline.terrain.viewpoints import Viewpoints
+
+if TYPE_CHECKING:
+    from geopandas import GeoDataFrame
+    from xarray import Dataset
 
 RowIndex = int | slice | NDArray[np.integer] | BoolArray
 
@@ -171,7 +177,7 @@ class Store:
         with explained(self.path, "it cannot be mapped"):
             return PlaceMap(self.path, self._raw.fileno(), self.header, len(self), offsets)
 
-    def to_xarray(self, index: RowIndex = slice(None)) -> Any:
+    def to_xarray(self, index: RowIndex = slice(None)) -> Dataset:
         """Return rows as an `xarray.Dataset` (extra ``geo``), in memory.
 
         Parameters
@@ -199,10 +205,12 @@ class Store:
         rows = self._indexed(index)
         frame = Frame(self.header.frame_wkt)
         if self.header.holds == PLACES:
-            return dataset_of_places(self.places().take(rows), rows, frame)
-        return dataset_of_views(self.views(index), rows, frame)
+            data: Dataset = dataset_of_places(self.places().take(rows), rows, frame)
+        else:
+            data = dataset_of_views(self.views(index), rows, frame)
+        return data
 
-    def to_geodataframe(self, index: RowIndex = slice(None)) -> Any:
+    def to_geodataframe(self, index: RowIndex = slice(None)) -> GeoDataFrame:
         """Return places as points (extra ``geo``), in memory.
 
         Parameters

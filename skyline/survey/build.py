@@ -10,6 +10,8 @@ store.
 Every job is rendered over the whole DEM, since terrain can rise into a skyline from any distance.
 """
 
+from __future__ import annotations
+
 import logging
 import shutil
 import time
@@ -74,7 +76,7 @@ def build_places(
 
     Parameters
     ----------
-    terrain : path, paths or HeightField
+    terrain : path, paths, DataArray or HeightField
         The elevation model.
     path : str or Path
         The store. Nothing is done if it already exists with the same settings and bounds. A store
@@ -107,7 +109,7 @@ def build_places(
 
 
 def build_uniform(
-    terrain: HeightField,
+    terrain: Dem,
     path: str | Path,
     spacing_m: float,
     bounds_deg: Bounds | None = None,
@@ -115,12 +117,13 @@ def build_uniform(
     progress: Progress | None = None,
 ) -> BuildResult:
     """Build a store of a uniform grid's renderings; otherwise as `build_places`."""
+    terrain = read_dem(terrain)
     plan = RenderingPlan.uniform(terrain, spacing_m, bounds_deg, config or RenderConfig())
     return build_store(terrain, path, plan, progress=progress)
 
 
 def render_to_store(
-    terrain: HeightField,
+    terrain: Dem,
     viewpoints: Viewpoints,
     path: str | Path,
     config: RenderConfig | None = None,
@@ -128,7 +131,7 @@ def render_to_store(
 ) -> BuildResult:
     """Build a store of the renderings of given viewpoints; otherwise as `build_places`."""
     plan = RenderingPlan.given(viewpoints, config or RenderConfig())
-    return build_store(terrain, path, plan, progress=progress)
+    return build_store(read_dem(terrain), path, plan, progress=progress)
 
 
 def build_store(

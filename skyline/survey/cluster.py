@@ -27,7 +27,7 @@ _log = logging.getLogger(__name__)
 class Tool(Protocol):
     """What a run's jobs work with: a renderer or a matcher."""
 
-    def release(self) -> None:
+    def close(self) -> None:
         """Free its memory."""
 
 
@@ -51,8 +51,7 @@ class Opening(Generic[K]):
 class Bench:
     """A worker's thread for jobs, and the tool that they left open.
 
-    One thread does all jobs, since an OpenGL context belongs to the thread that made it, and dask
-    may run tasks on several.
+    One thread does all jobs: dask may run tasks on several, which would wait for one another.
     """
 
     def __init__(self) -> None:
@@ -63,7 +62,7 @@ class Bench:
     def do(self, work: Callable[[K, T, Tell], R], opening: Opening[K], item: T, tell: Tell) -> R:
         """Return the result of ``work(tool, item, tell)``, in the thread for jobs.
 
-        The tool stays open for the next job, and is released before another one is opened: two
+        The tool stays open for the next job, and is closed before another one is opened: two
         elevation models never take memory at once.
         """
         return self._thread.submit(lambda: work(self._opened(opening), item, tell)).result()
@@ -71,7 +70,7 @@ class Bench:
     def _opened(self, opening: Opening[K]) -> K:
         if self._tool is None or self._key != opening.key:
             if self._tool is not None:
-                self._tool.release()
+                self._tool.close()
             self._tool = None
             self._tool = opening.open()
             self._key = opening.key

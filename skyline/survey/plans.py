@@ -8,12 +8,12 @@ from typing import Any, Self
 
 import numpy as np
 
-from skyline.arrays import Float64Array
+from skyline.arrays import Float64Array, refuse_text
 from skyline.errors import InputError, swapped_in_words
 from skyline.geodesy.bounds import Bounds, are_bounds, check_bounds
 from skyline.geodesy.earth import Curvature
 from skyline.geodesy.map_frame import Rectangle
-from skyline.render.context import Releasable
+from skyline.render.context import Closeable
 from skyline.render.horizon import HorizonRenderer, PanoramaRenderer, RenderConfig
 from skyline.render.march import ColumnRenderer
 from skyline.skylines import Views, pixel_size, polyline_vertices
@@ -59,7 +59,7 @@ class JobSize:
 
 
 @dataclass(frozen=True, slots=True)
-class JobRenderer(Releasable):
+class JobRenderer(Closeable):
     """Renders jobs of one plan."""
 
     renderer: ColumnRenderer
@@ -78,9 +78,9 @@ class JobRenderer(Releasable):
     expected: int = 0
     """About how many rows the jobs of the plan render; 0 where each job is given as viewpoints."""
 
-    def release(self) -> None:
+    def close(self) -> None:
         """Free the renderer's memory on the GPU."""
-        self.renderer.release()
+        self.renderer.close()
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,6 +100,7 @@ class PlacePlan:
     def __post_init__(self) -> None:
         if self.spacing_m is not None and self.places is not None:
             raise InputError("give one of the spacing (a uniform grid) and the number of places")
+        refuse_text(spacing_m=self.spacing_m, places=self.places)
         # JSON takes no NumPy numbers.
         for name, number in (("spacing_m", float), ("places", int), ("bounds_deg", check_bounds)):
             if (given := getattr(self, name)) is not None:
@@ -339,6 +340,7 @@ def uniform_grid(
     The order is row by row from the north-west. Raises `InputError` for a spacing that is not
     positive, or so large that no viewpoint falls on the surface.
     """
+    refuse_text(spacing_m=spacing_m)
     if not (np.isfinite(spacing_m) and spacing_m > 0.0):
         raise InputError(f"spacing is {spacing_m} m; expected a positive number of metres")
     west, south, east, north = bounds_m or field.bounds_m

@@ -1,11 +1,13 @@
-"""Reading of DEM files as a `HeightField`.
+"""Reading of elevation models, of files or in memory, as a `HeightField`.
 
 Their samples are put on one grid, repaired, and warped to a metric frame if need be.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from skyline.errors import InputError
 from skyline.terrain.dem_files import Paths, dem_names
@@ -16,14 +18,21 @@ from skyline.terrain.metric_dem import metric_dem
 from skyline.terrain.provenance import DemOptions
 
 if TYPE_CHECKING:
+    from rasterio import DatasetReader
+    from xarray import DataArray
+
     from skyline.terrain.mosaic import Mosaic
+    from skyline.terrain.raster_tiles import Tile
 
-Dem = Paths | HeightField
-"""A model: its file, its tiles, or the height field read from them."""
+    Dem: TypeAlias = Paths | HeightField | DataArray | DatasetReader
+else:  # Neither library is loaded for those who give files.
+    Dem = Paths | HeightField
 
 
-def read_dem(paths: Dem, options: DemOptions | None = None) -> HeightField:
+def read_dem(dem: Dem, options: DemOptions | None = None) -> HeightField:
     """Read a DEM, or several tiles of one, as a height field.
+
+    Everything in Skyline that takes a DEM takes what this function takes.
 
     Samples stand at pixel centres, as GDAL places the pixels. Spikes are removed and small voids
     filled on the files' own grid, before anything is resampled. A DEM in a metric CRS whose map is
@@ -35,19 +44,30 @@ def read_dem(paths: Dem, options: DemOptions | None = None) -> HeightField:
 
     Parameters
     ----------
-    paths : path, sequence of paths or HeightField
-        Rasters of one band, and perhaps an alpha band, virtual rasters and STAC items among them;
-        folders and zip archives, which stand for the rasters in them; ``https://`` addresses of
-        rasters; or GDAL names such as ``netcdf:topo.nc:dem``. Tiles share a CRS and a grid; where
-        they overlap the first named gives the height; samples that none covers are holes. A height
-        field is returned unchanged, and so is one that `skyline.terrain.field_files.save_field`
-        wrote.
+    dem : path, paths, DataArray, open dataset or HeightField
+        Files: rasters of one band, and perhaps an alpha band, virtual rasters and STAC items among
+        them; folders and zip archives, which stand for the rasters in them; ``https://`` addresses
+        of rasters; or GDAL names such as ``netcdf:topo.nc:dem``. Tiles share a CRS and a grid;
+        where they overlap the first named gives the height; samples that none covers are holes.
+
+        An `xarray.DataArray`: heights by two dimensions, ``y, x``, ``lat, lon``, ``latitude,
+        longitude`` or ``northing, easting``, in any order, with even coordinates of the samples.
+        Further dimensions have one entry. Its grid mapping (CF, as rioxarray writes it) gives the
+        CRS, else ``options.crs``. Its attributes ``_FillValue``, ``missing_value``,
+        ``scale_factor``, ``add_offset``, ``units`` and ``positive`` are applied. An array that
+        rioxarray has opened gives the same heights as its file.
+
+        A dataset of one band that rasterio has opened: a file, a `MemoryFile` or a `WarpedVRT`.
+
+        A height field is returned unchanged, and so is one that
+        `skyline.terrain.field_files.save_field` wrote.
 
     Returns
     -------
     HeightField
-        float32 heights. Its provenance counts samples of the files: filled and hollow samples were
-        voids or spikes.
+        float32 heights. Its provenance names the files, and counts their samples: filled and hollow
+        samples were voids or spikes. A DataArray has no file: a store that is built from it is
+        matched with ``Matcher(store, dem=field)``.
 
     Raises
     ------
@@ -55,15 +75,17 @@ def read_dem(paths: Dem, options: DemOptions | None = None) -> HeightField:
         There is no file at a path.
     InputError
         A file is not a raster of one band, is damaged, or has a rotated grid or no height at all; a
-        CRS is missing, not understood, or one that PROJ cannot transform; a unit is not one of
-        length; or tiles do not fit together.
+        DataArray has other dimensions, or missing or uneven coordinates; a dataset is closed; a CRS
+        is missing, not understood, or one that PROJ cannot transform; a unit is not one of length;
+        or tiles do not fit together.
     FetchError
         A server has no such file, or does not answer.
     """
-    if isinstance(paths, HeightField):
-        return paths
     options = options or DemOptions()
-    names = dem_names(paths)
+    in_memory = field_in_memory(dem, options)
+    if in_memory is not None:
+        return in_memory
+    names = dem_names(dem)
     if len(names) == 1 and Path(names[0]).suffix == SUFFIX:
         return read_field(Path(names[0]))
     place = place_of(names, options)
@@ -76,18 +98,42 @@ def read_dem(paths: Dem, options: DemOptions | None = None) -> HeightField:
     return keep_model(dem, place, warnings)
 
 
-def read_files(paths: Paths, options: DemOptions | None = None) -> "Mosaic":
+def field_in_memory(dem: Any, options: DemOptions | None = None) -> HeightField | None:
+    """Return the field of an array, an open dataset or a field; None for paths.
+
+    Raises as `read_dem`.
+    """
+    if isinstance(dem, HeightField):
+        return dem
+    # The library that made an object is loaded; the other one need not be.
+    packages = {kind.__module__.partition(".")[0] for kind in type(dem).__mro__}
+    if not packages & {"xarray", "rasterio"}:
+        return None
+    from skyline.terrain.raster_tiles import array_tile, dataset_tile  # noqa: PLC0415  (slow)
+
+    options = options or DemOptions()
+    tile_of = array_tile if "xarray" in packages else dataset_tile
+    tile = tile_of(dem, options.default_crs)
+    return field_of(metric_dem(_mosaic_of([tile]), options))
+
+
+def read_files(paths: Paths, options: DemOptions | None = None) -> Mosaic:
     """Read files onto their own common grid, not repaired; otherwise as `read_dem`."""
     return _read(dem_names(paths), options or DemOptions())
 
 
-def _read(names: Sequence[str], options: DemOptions) -> "Mosaic":
-    from skyline.terrain.mosaic import read_mosaic  # noqa: PLC0415  (rasterio is slow to load)
-    from skyline.terrain.raster_tiles import open_tile  # noqa: PLC0415
+def _read(names: Sequence[str], options: DemOptions) -> Mosaic:
+    from skyline.terrain.raster_tiles import open_tile  # noqa: PLC0415  (rasterio is slow to load)
 
     default_crs = options.default_crs
     if not names:
         raise InputError("no DEM file was given; name one or more")
     # A file that is named twice, in its folder and by itself, is read once.
     once = {Path(name).parent.resolve() / Path(name).name: name for name in names}
-    return read_mosaic([open_tile(name, default_crs) for name in once.values()])
+    return _mosaic_of([open_tile(name, default_crs) for name in once.values()])
+
+
+def _mosaic_of(tiles: Sequence[Tile]) -> Mosaic:
+    from skyline.terrain.mosaic import read_mosaic  # noqa: PLC0415  (rasterio is slow to load)
+
+    return read_mosaic(tiles)

@@ -80,7 +80,6 @@ def _tiles_among(where: str, files: Sequence[Path]) -> list[str]:
 def no_dem(given: object) -> InputError:
     """Return the error for a value that cannot be a DEM."""
     return InputError(
-        f"the DEM is of type {type(given).__name__}; read_dem takes paths or one HeightField, "
-        "HeightField.from_rasterio an open rasterio dataset, HeightField.from_xarray a DataArray, "
-        "HeightField itself an array of heights"
+        f"the DEM is of type {type(given).__name__}; expected paths, a DataArray, an open rasterio "
+        "dataset or a HeightField, which is made of an array of heights and its place on the map"
     )

@@ -4,6 +4,8 @@ Each cell between four samples is two triangles, split along the diagonal that j
 and south-east samples. A triangle with a hole (NaN) among its samples is not part of the surface.
 """
 
+from __future__ import annotations
+
 import hashlib
 import math
 from collections.abc import Callable, Mapping
@@ -12,21 +14,18 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from skyline.arrays import BoolArray, Float64Array, FloatArray, Int64Array
+from skyline.arrays import BoolArray, Float64Array, FloatArray, Int64Array, refuse_text
 from skyline.errors import InputError, printable
 from skyline.geodesy.bounds import Bounds
 from skyline.geodesy.map_frame import Frame
 from skyline.terrain.lazy_heights import LazyHeights
-from skyline.terrain.metric_dem import MetricDem, metric_dem
-from skyline.terrain.provenance import DemOptions, Provenance
-
-if TYPE_CHECKING:
-    from skyline.terrain.raster_tiles import Tile
+from skyline.terrain.metric_dem import MetricDem
+from skyline.terrain.provenance import Provenance
 
 Ground = Callable[[Float64Array, Float64Array], Float64Array]
 """Returns the heights in metres at eastings and northings, NaN off the map and on holes."""
@@ -68,6 +67,8 @@ class HeightField:
     provenance: Provenance = field(default_factory=Provenance)
 
     def __post_init__(self) -> None:
+        names = "west_m", "north_m", "spacing_east_m", "spacing_north_m"
+        refuse_text(**{name: getattr(self, name) for name in names})
         if isinstance(self.heights_m, LazyHeights):
             # `__getattr__` makes the attribute when someone wants all heights.
             object.__setattr__(self, "_lazy", self.__dict__.pop("heights_m"))
@@ -76,8 +77,7 @@ class HeightField:
         if error_deg := self.frame.untrue_deg(self.bounds_m):
             raise InputError(
                 f"on the map of {self.frame.name} slopes and directions are wrong by up to "
-                f"{error_deg:.2f} degrees in this DEM; read it with read_dem, "
-                "HeightField.from_rasterio or from_xarray, which warp it"
+                f"{error_deg:.2f} degrees in this DEM; read it with read_dem, which warps it"
             )
 
     def _take_heights(self) -> None:
@@ -99,7 +99,7 @@ class HeightField:
             raise InputError(
                 f"sample spacing is {spacing[0]} x {spacing[1]} m; expected a centimetre or more. "
                 "A grid in degrees needs a CRS in degrees, such as EPSG:4326, and is read by "
-                "read_dem, HeightField.from_rasterio or from_xarray"
+                "read_dem: make a DataArray of it"
             )
         if not np.isfinite([self.west_m, self.north_m]).all():
             raise InputError(
@@ -146,63 +146,6 @@ class HeightField:
             "spacing": f"{self.spacing_east_m:g} x {self.spacing_north_m:g} m",
             "frame": self.frame.name,
         }
-
-    @classmethod
-    def from_rasterio(cls, dataset: Any, options: DemOptions | None = None) -> "HeightField":
-        """Read an open rasterio dataset, as `read_dem` reads a file.
-
-        Parameters
-        ----------
-        dataset : rasterio dataset
-            A file, a `MemoryFile` or a `WarpedVRT`, open to read, with one band.
-
-        Returns
-        -------
-        HeightField
-            Its provenance names the dataset's file, if it has one. A store built from a field
-            without a file is matched with ``Matcher(store, dem=field)``.
-
-        Raises
-        ------
-        InputError
-            It is not an open dataset, has several bands, a missing or unknown CRS, a rotated grid,
-            or no height at all.
-        """
-        from skyline.terrain.raster_tiles import dataset_tile  # noqa: PLC0415  (slow to load)
-
-        options = options or DemOptions()
-        return _field_of_tile(dataset_tile(dataset, options.default_crs), options)
-
-    @classmethod
-    def from_xarray(cls, data_array: Any, options: DemOptions | None = None) -> "HeightField":
-        """Read an `xarray.DataArray`, as `read_dem` reads a file.
-
-        A file that rioxarray has opened gives the same heights as with `read_dem`.
-
-        Parameters
-        ----------
-        data_array : xarray.DataArray
-            Heights by two dimensions, ``y, x``, ``lat, lon``, ``latitude, longitude`` or
-            ``northing, easting``, in any order, with even coordinates of the samples. Further
-            dimensions have one entry. Its grid mapping (CF, as rioxarray writes it) gives the CRS,
-            else ``options.crs``. Its attributes ``_FillValue``, ``missing_value``,
-            ``scale_factor``, ``add_offset``, ``units`` and ``positive`` are applied.
-
-        Returns
-        -------
-        HeightField
-            It has no file: a store built from it is matched with ``Matcher(store, dem=field)``.
-
-        Raises
-        ------
-        InputError
-            It is not a DataArray, has other dimensions or several bands, missing or uneven
-            coordinates, a missing or unknown CRS, or no height at all.
-        """
-        from skyline.terrain.raster_tiles import array_tile  # noqa: PLC0415  (slow to load)
-
-        options = options or DemOptions()
-        return _field_of_tile(array_tile(data_array, options.default_crs), options)
 
     @property
     def _lazy_heights(self) -> LazyHeights | None:
@@ -327,12 +270,14 @@ class HeightField:
         self, *, easting_m: ArrayLike, northing_m: ArrayLike
     ) -> tuple[Float64Array, Float64Array]:
         """Return fractional (row, column) of map coordinates; samples are at whole numbers."""
+        refuse_text(easting_m=easting_m, northing_m=northing_m)
         row = (self.north_m - np.asarray(northing_m, dtype=np.float64)) / self.spacing_north_m
         col = (np.asarray(easting_m, dtype=np.float64) - self.west_m) / self.spacing_east_m
         return row, col
 
     def to_map(self, row: ArrayLike, col: ArrayLike) -> tuple[Float64Array, Float64Array]:
         """Return easting and northing in metres of fractional rows and columns."""
+        refuse_text(row=row, col=col)
         easting = self.west_m + np.asarray(col, dtype=np.float64) * self.spacing_east_m
         northing = self.north_m - np.asarray(row, dtype=np.float64) * self.spacing_north_m
         return easting, northing
@@ -420,12 +365,6 @@ def field_of(dem: MetricDem) -> HeightField:
         frame=dem.frame,
         provenance=dem.provenance,
     )
-
-
-def _field_of_tile(tile: "Tile", options: DemOptions) -> HeightField:
-    from skyline.terrain.mosaic import read_mosaic  # noqa: PLC0415  (slow to load)
-
-    return field_of(metric_dem(read_mosaic([tile]), options))
 
 
 def ground_of(field: HeightField) -> Ground:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, fields
 
 from pyproj import CRS
 
+from skyline.arrays import ShortRepr
 from skyline.errors import InputError
 from skyline.geodesy.crs import parse_crs
 
@@ -43,8 +44,8 @@ class DemOptions:
         return None if self.crs is None else parse_crs(self.crs)
 
 
-@dataclass(frozen=True)
-class Provenance:
+@dataclass(frozen=True, repr=False)
+class Provenance(ShortRepr):
     """The files of a height field, and the treatment of their samples.
 
     Attributes

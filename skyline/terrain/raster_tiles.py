@@ -95,12 +95,12 @@ def array_tile(array: Any, default_crs: CRS | None) -> Tile:
     """Return the tile in an xarray.DataArray.
 
     The geotransform and the CRS are the ones that rioxarray notes, so that its array of a file has
-    the same heights as the file. Raises `InputError` as `skyline.HeightField.from_xarray`.
+    the same heights as the file. Raises `InputError` as `skyline.read_dem`.
     """
     if not isinstance(array, library("xarray", "a DataArray").DataArray):
         raise no_dem(array)
     source = "the DataArray" if array.name is None else f"the DataArray {array.name!r}"
-    y, x = _dims_of(source, array)
+    y, x = dims_of(source, array)
     # This coordinate holds the CRS.
     name = array.encoding.get("grid_mapping", array.attrs.get("grid_mapping", "spatial_ref"))
     mapping: Mapping[str, Any] = array.coords[name].attrs if name in array.coords else {}
@@ -310,7 +310,8 @@ def _grid_of(
     return grid, (slice(None, None, row_way), slice(None, None, col_way))
 
 
-def _dims_of(source: str, array: Any) -> tuple[str, str]:
+def dims_of(source: str, array: Any) -> tuple[str, str]:
+    """Return the dimensions of a DataArray's rows and columns; raises `InputError` for others."""
     for y, x in _DIMS:
         if y in array.dims and x in array.dims:
             bands = array.size // max(array.sizes[y] * array.sizes[x], 1)

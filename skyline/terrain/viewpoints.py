@@ -3,13 +3,15 @@
 They are given as arrays or in a CSV file.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from skyline.arrays import BoolArray, Float64Array, Int64Array, Rows, UInt8Array
+from skyline.arrays import BoolArray, Float64Array, Int64Array, Rows, UInt8Array, refuse_text
 from skyline.errors import InputError, OffMapError, printable, swapped_in_words
 from skyline.geodesy.earth import GROUND_M
 from skyline.skylines import HEADINGS
@@ -35,7 +37,7 @@ _EXPECTED = (
 )
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
 class Viewpoints(Rows):
     """N eyes in a DEM's frame.
 
@@ -88,8 +90,11 @@ def stand_on(
     InputError
         ``summit_within_m`` is not from 0 to 10,000 m.
     """
-    easting, northing, eye_height = _flat(easting_m, northing_m, eye_height_m)
+    easting, northing, eye_height = _flat(
+        easting_m=easting_m, northing_m=northing_m, eye_height_m=eye_height_m
+    )
     _check_heights(eye_height)
+    refuse_text(summit_within_m=summit_within_m)
     given = easting, northing
     if summit_within_m is not None and not 0.0 <= summit_within_m <= 10_000.0:
         raise InputError(
@@ -158,7 +163,7 @@ def position_on(
     Longitudes and latitudes are on WGS 84; the result has shape (N,). Raises `OffMapError` for a
     position off the map.
     """
-    lon, lat = _flat(lon_deg, lat_deg)
+    lon, lat = _flat(lon=lon_deg, lat=lat_deg)
     easting, northing = field.frame.from_lonlat(lon, lat)
     outside = np.flatnonzero(~is_on_map(field, easting, northing))
     if outside.size:
@@ -182,7 +187,7 @@ def stand_where_possible(
 
     Returns the eyes, and a mask of the locations (N,) where they stand.
     """
-    easting, northing = _flat(easting_m, northing_m)
+    easting, northing = _flat(easting_m=easting_m, northing_m=northing_m)
     ground = field.height_at(easting_m=easting, northing_m=northing)
     stands = ~np.isnan(ground)
     elevation = ground + DEFAULT_EYE_HEIGHT_M
@@ -194,7 +199,9 @@ def at_elevation(
     field: HeightField, easting_m: ArrayLike, northing_m: ArrayLike, eye_elevation_m: ArrayLike
 ) -> Viewpoints:
     """Place eyes at elevations above the datum; otherwise as `stand_on`."""
-    easting, northing, eye_elevation = _flat(easting_m, northing_m, eye_elevation_m)
+    easting, northing, eye_elevation = _flat(
+        easting_m=easting_m, northing_m=northing_m, eye_elevation_m=eye_elevation_m
+    )
     ground = stand_on(field, easting_m=easting, northing_m=northing, eye_height_m=0.0)
     _check_heights(eye_elevation - ground.eye_elevation_m)
     return Viewpoints(easting_m=easting, northing_m=northing, eye_elevation_m=eye_elevation)
@@ -258,10 +265,13 @@ def is_on_map(field: HeightField, easting_m: ArrayLike, northing_m: ArrayLike) -
     return (west <= easting) & (easting <= east) & (south <= northing) & (northing <= north)
 
 
-def _flat(*values: ArrayLike) -> list[Float64Array]:
+def _flat(**values: ArrayLike) -> list[Float64Array]:
     """Return values broadcast to (N,); raises `InputError` unless they are finite numbers."""
+    refuse_text(**values)
     try:
-        numbers = [np.ma.filled(np.asanyarray(v, dtype=np.float64), np.nan) for v in values]
+        numbers = [
+            np.ma.filled(np.asanyarray(v, dtype=np.float64), np.nan) for v in values.values()
+        ]
         arrays = np.broadcast_arrays(*map(np.atleast_1d, numbers))
     except (TypeError, ValueError, OverflowError) as error:
         raise InputError(

@@ -124,8 +124,8 @@ class Engine:
         for pool in self._pools.values():
             pool.shutdown(cancel_futures=True)
         if self._viewer is not None:
-            self._viewer.release()
-        self.matcher.release()
+            self._viewer.close()
+        self.matcher.close()
         self.thread.close()
 
 

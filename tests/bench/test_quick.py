@@ -87,6 +87,7 @@ TABLES = {
     "speed-error": (("DEM",), [TERRAIN]),
     "summits": (("DEM",), [TERRAIN]),
     "large-dem": ((), [TERRAIN]),
+    "sky-view": (("DEM", "--side", 40), [TERRAIN]),
     "table1": (("--side", 30, "--row", 2), [{"n"}]),
 }
 """By command: its arguments, and headings that its tables must have."""

@@ -133,7 +133,7 @@ def test_the_file_of_pvgis_has_one_angle_a_line_from_north(run, dem, places, tmp
     angles = [float(line) for line in target.read_text().splitlines()]
     lon, lat = (float(part) for part in places[0].split(","))
     found = horizon(read_dem([dem]), lon=lon, lat=lat, step_deg=7.5)
-    np.testing.assert_allclose(angles, np.maximum(found.elevation_deg[0], 0.0), atol=0.0051)
+    np.testing.assert_allclose(angles, np.maximum(found.elevation_deg, 0.0), atol=0.0051)
 
 
 def test_a_horizon_is_of_the_highest_point_that_was_asked_for(run, dem, places, tmp_path):
@@ -142,8 +142,8 @@ def test_a_horizon_is_of_the_highest_point_that_was_asked_for(run, dem, places, 
     highest = horizon(read_dem([dem]), lon=lon, lat=lat, summit_within_m=100.0)
     for place in (("--at", places[0]), ("--viewpoints", points)):
         first = table(run("horizon", dem, *place, "--summit-within", "100").out)[0]
-        assert lon != float(first["lon"]) == pytest.approx(highest.lon[0], abs=1e-6)
-        assert lat != float(first["lat"]) == pytest.approx(highest.lat[0], abs=1e-6)
+        assert lon != float(first["lon"]) == pytest.approx(highest.lon, abs=1e-6)
+        assert lat != float(first["lat"]) == pytest.approx(highest.lat, abs=1e-6)
 
 
 def test_a_place_on_a_hole_is_refused(run, dem, tmp_path):

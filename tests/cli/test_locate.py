@@ -6,6 +6,7 @@ import shutil
 import threading
 import time
 from contextlib import nullcontext
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -53,6 +54,17 @@ def test_a_second_photo_of_an_area_asks_no_server(run, one_degree, tile_server, 
     found = skyline.locate(one_degree / "photo.jpg", (*PLACE, 1.0), fov_deg=60.0)
     assert abs(found.best.heading_deg - 140.0) < 5.0
     assert not tile_server.requests
+
+
+def test_a_model_in_memory_is_searched_and_kept_by_its_heights(photo, dem, cache):
+    """The photo looks along 140 degrees from grid north, which is not a degree off true north."""
+    terrain = skyline.read_dem([dem])
+    lon, lat = (float(at) for at in terrain.frame.to_lonlat(601_800.0, 5_178_000.0))
+    found = skyline.locate(photo, (lon, lat, 0.7), dem=terrain)
+    assert abs(found.best.heading_deg - 140.0) < 2.0
+    (area,) = areas.cached_areas()
+    same = replace(terrain, provenance=skyline.Provenance())
+    assert prepare_area(Area.around([(lon, lat)], 0.7, 0.7), same) == area
 
 
 @pytest.mark.usefixtures("tile_server")

@@ -5,7 +5,7 @@ import pytest
 from scenes import SPACING_M, field_of, fractal, scattered, write_dem
 
 from skyline import read_dem
-from skyline.render.context import acquire_context
+from skyline.render.context import held_context
 
 
 @pytest.fixture(autouse=True)
@@ -16,7 +16,8 @@ def every_test(no_gl_error):
 @pytest.fixture(scope="session")
 def is_hardware():
     """Whether a GPU renders; seen on an NVIDIA H100, driver 580."""
-    return not acquire_context().software
+    with held_context() as context:
+        return not context.software
 
 
 @pytest.fixture(scope="module")

@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 import textwrap
+import threading
 from concurrent.futures import ThreadPoolExecutor
 from ctypes.util import find_library
 from functools import partial
@@ -14,7 +15,13 @@ from unittest.mock import MagicMock
 import pytest
 
 from skyline.errors import ContextError, InputError
-from skyline.render.context import GlContext, acquire_context, best_device, release_context
+from skyline.render.context import (
+    GlContext,
+    best_device,
+    held_context,
+    process_context,
+    release_context,
+)
 
 
 def cleared(context: GlContext) -> list[int]:
@@ -29,11 +36,12 @@ GREEN = [0, 255, 0, 255]
 PRELUDE = f"""
 import json, os, sys, threading
 from skyline.errors import ContextError
-from skyline.render.context import GlContext, GlLibraries, SharedContext, acquire_context
+from skyline.render.context import GlContext, GlLibraries, SharedContext, held_context
 
-def refusal(acquire=acquire_context):
+def refusal(held=held_context):
     try:
-        acquire()
+        with held():
+            return
     except ContextError as error:
         return error
 
@@ -53,35 +61,48 @@ def run_python(code: str, **environment: str) -> list[str]:
 
 
 def test_one_context_is_shared_and_a_released_one_is_made_anew():
-    before = acquire_context()
-    assert acquire_context() is before
-    assert before.ctx.version_code >= 430
+    with held_context() as before, held_context() as again:
+        assert again is before
+        assert before.ctx.version_code >= 430
     release_context()
     release_context()
-    after = acquire_context()
-    assert after is not before
-    assert cleared(acquire_context()) == GREEN
+    with held_context() as after:
+        assert after is not before
+        assert cleared(after) == GREEN
 
 
-def test_another_thread_is_refused():
-    acquire_context()
-    for function in (acquire_context, release_context):
-        with (
-            ThreadPoolExecutor(thread_name_prefix="intruder") as pool,
-            pytest.raises(ContextError, match="'intruder_0'"),
-        ):
-            pool.submit(function).result()
-    assert cleared(acquire_context()) == GREEN
+def test_threads_hold_it_in_turn():
+    began, ends = threading.Event(), threading.Event()
+
+    def hold():
+        with held_context() as context:
+            began.set()
+            assert ends.wait(60.0)
+            return context, cleared(context)
+
+    with ThreadPoolExecutor(2) as pool:
+        first = pool.submit(hold)
+        assert began.wait(60.0)
+        second = pool.submit(hold)
+        # An exit in between does not wait for the thread.
+        process_context().release(is_patient=False)
+        assert not second.done()
+        ends.set()
+        assert first.result() == second.result()
+    with held_context() as context:
+        assert (context, cleared(context)) == first.result()
 
 
 def test_a_fork_after_the_context_is_refused_and_leaves_the_parent_alone():
     refusal, pixel = run_python("""
-        texture = acquire_context().ctx.texture((1, 1), 4, bytes([9, 8, 7, 6]))
+        with held_context() as context:
+            texture = context.ctx.texture((1, 1), 4, bytes([9, 8, 7, 6]))
         if os.fork() == 0:
             print(refusal(), flush=True)
             sys.exit()  # runs the child's exit handlers
         os.wait()
-        print(list(texture.read()))
+        with held_context():
+            print(list(texture.read()))
     """)
     assert "was forked from" in refusal
     assert '"spawn"' in refusal
@@ -91,8 +112,9 @@ def test_a_fork_after_the_context_is_refused_and_leaves_the_parent_alone():
 def test_an_unknown_backend_names_those_known(monkeypatch):
     release_context()
     monkeypatch.setenv("SKYLINE_GL", "metal")
-    with pytest.raises(InputError, match=r"SKYLINE_GL is 'metal'; expected egl or osmesa"):
-        acquire_context()
+    said = r"SKYLINE_GL is 'metal'; expected egl or osmesa"
+    with pytest.raises(InputError, match=said), held_context():
+        pass
 
 
 @pytest.mark.skipif(find_library("OSMesa") is None, reason="no libOSMesa here")
@@ -105,9 +127,9 @@ def test_an_unknown_backend_names_those_known(monkeypatch):
 )
 def test_osmesa_can_be_forced_and_comes_after_a_failing_egl(egl_library, environment, reason):
     code = f"""
-        context = SharedContext(GlLibraries(egl={egl_library!r})).acquire()
-        print(json.dumps(context.facts()))
-        print(cleared(context))
+        with SharedContext(GlLibraries(egl={egl_library!r})).held() as context:
+            print(json.dumps(context.facts()))
+            print(cleared(context))
     """
     lines = run_python(code, **environment)
     described, pixel = map(json.loads, lines)
@@ -119,7 +141,7 @@ def test_osmesa_can_be_forced_and_comes_after_a_failing_egl(egl_library, environ
 def test_without_opengl_the_error_has_all_attempts_and_the_packages():
     (line,) = run_python("""
         none = GlLibraries("libNoEGL.so.1", ("libNoOSMesa.so.8", "libNoOSMesa.so.6"))
-        print(refusal(SharedContext(none).acquire))
+        print(refusal(SharedContext(none).held))
     """)
     assert line.startswith("no OpenGL context of version 4.3 or newer; tried egl, ")
     assert "libNoEGL.so.1 not loaded" in line

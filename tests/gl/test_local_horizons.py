@@ -5,6 +5,7 @@ from datetime import UTC, date, datetime, timedelta
 import numpy as np
 import pandas as pd
 import pytest
+import rioxarray
 from scenes import at_deg, field_from, fractal, write_dem
 
 from skyline import Curvature, Frame, HeightField, InputError, horizon, read_dem, stand_on
@@ -62,6 +63,34 @@ def test_equals_the_oracle_at_azimuths_from_true_north(rough, step_deg):
             np.testing.assert_allclose(found_m[clear], away_m[clear], rtol=1e-4)
 
 
+def test_a_data_array_stands_for_its_file(tmp_path):
+    path = write_dem(tmp_path / "dem.tif", fractal(60, 60, 400.0, seed=2))
+    lon, lat = places_on(read_dem(path), 2)
+    of_file = horizon(path, lon=lon, lat=lat, step_deg=7.5)
+    with rioxarray.open_rasterio(path) as array:
+        of_array = horizon(array, lon=lon, lat=lat, step_deg=7.5, surface=array)
+    np.testing.assert_array_equal(of_array.elevation_deg, of_file.elevation_deg)
+    np.testing.assert_array_equal(of_array.surface_deg, of_file.elevation_deg)
+
+
+def test_a_horizon_has_the_shape_of_its_longitudes_and_latitudes(rough):
+    lon, lat = (at.reshape(2, 3) for at in places_on(rough, 6))
+    grid = horizon(rough, lon=lon, lat=lat, step_deg=7.5, ids=[list("abc"), list("def")])
+    assert (grid.shape, grid.elevation_deg.shape) == ((2, 3), (2, 3, 48))
+    one = horizon(rough, lon=float(lon[1, 2]), lat=float(lat[1, 2]), step_deg=7.5)
+    assert (one.shape, one.sky_view_factor().shape) == ((), ())
+    for same in (grid[1, 2], grid[1][-1], grid.sel("f"), grid.sel(lon=lon[1, 2], lat=lat[1, 2])):
+        np.testing.assert_array_equal(same.elevation_deg, one.elevation_deg)
+    assert [str(place.id) for row in grid for place in row] == list("abcdef")
+    assert repr(grid) == "LocalHorizons(2 x 3 places, 48 azimuths, 7.5 degrees apart)"
+
+
+def test_ids_of_other_places_are_refused(rough):
+    lon, lat = places_on(rough, 2)
+    with pytest.raises(InputError, match=r"shape \(2,\), and the ids \(1,\); give an id for each"):
+        horizon(rough, lon=lon, lat=lat, ids=["a"])
+
+
 @pytest.mark.parametrize(
     ("given", "message"),
     [
@@ -89,7 +118,7 @@ def test_the_sun_rises_behind_a_ridge_when_another_ephemeris_says_so():
         noon = datetime(day.year, day.month, day.day, 12, tzinfo=UTC) - timedelta(hours=lon / 15.0)
         times = pd.date_range(noon - timedelta(hours=12), noon + timedelta(hours=12), freq="5s")
         sun = pvlib.solarposition.get_solarposition(times, lat, lon, altitude=1500.0)
-        line = np.interp(sun.azimuth, found.azimuth_deg[0], found.elevation_deg[0], period=360.0)
+        line = np.interp(sun.azimuth, found.azimuth_deg, found.elevation_deg, period=360.0)
         shines = times[sun.apparent_elevation + 0.2666 > line]
         assert shines[0] > noon - timedelta(hours=7)
         assert abs((rise - shines[0]).total_seconds()) < 60.0
@@ -120,11 +149,11 @@ def test_a_summit_does_not_stand_before_who_stands_on_it():
     """True coordinates lie up to half a sample beside the model's summit."""
     slope = horizon(MOUNTAIN, **at_deg(BESIDE_DEG), summit_within_m=0.0)
     towards = 2 * 128
-    assert slope.elevation_deg[0, towards] > 30.0
-    assert slope.distance_m[0, towards] < 60.0
+    assert slope.elevation_deg[towards] > 30.0
+    assert slope.distance_m[towards] < 60.0
     for within_m in (None, 100.0):
         found = horizon(MOUNTAIN, **at_deg(BESIDE_DEG), summit_within_m=within_m)
-        assert found.eye_elevation_m[0] == pytest.approx(3002.0, abs=1e-3)
+        assert found.eye_elevation_m == pytest.approx(3002.0, abs=1e-3)
         assert found.elevation_deg.max() < 0.0
 
 
@@ -137,11 +166,10 @@ def test_a_horizon_of_a_file_is_drawn_and_shown_in_a_notebook(tmp_path):
     np.testing.assert_array_equal(
         found.elevation_deg, horizon(terrain, lon=lon, lat=lat, step_deg=7.5).elevation_deg
     )
-    axes = found.plot(3)
+    axes = found[3].plot()
     (line,) = axes.lines
     np.testing.assert_array_equal(line.get_ydata(), found.elevation_deg[3])
-    assert found.plot(4, ax=axes) is axes
     html = found._repr_html_()
     assert html.count("<svg ") == 5
     assert "and 2 more places" in html
-    assert repr(found) == "LocalHorizons(places=7, azimuths=48)"
+    assert repr(found) == "LocalHorizons(7 places, 48 azimuths, 7.5 degrees apart)"

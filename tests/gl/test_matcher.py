@@ -141,7 +141,7 @@ def test_a_panorama_that_sees_behind_is_found(
     store, terrain, projection, fov_deg, said_deg, sag_deg, raised_deg
 ):
     east, north = 0.5 * (MIDDLE[0] + MIDDLE[2]) + 137.0, 0.5 * (MIDDLE[1] + MIDDLE[3]) - 211.0
-    seen = horizon(terrain, **at_deg(terrain.frame.to_lonlat(east, north)))[0]
+    seen = horizon(terrain, **at_deg(terrain.frame.to_lonlat(east, north)))
     heading_deg = 250.0
     query, turn_deg, elevation_deg = panorama_of(
         seen, heading_deg, projection, fov_deg, said_deg, sag_deg, raised_deg
@@ -246,7 +246,7 @@ def test_a_sure_answer_of_the_first_short_list_ends_the_search(terrain, monkeypa
     scene = RenderedScene(terrain, RenderConfig(360))
     matcher = search.FullMatcher(places, None, scene)
     matcher.found(rays(3, 77.0), NOTHING_KNOWN, lambda step, share: steps.append(step))
-    scene.release()
+    scene.close()
     assert [step for step, _ in groupby(steps)] == ["screening", *["fitting", "refining"] * lists]
 
 

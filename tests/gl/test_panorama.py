@@ -61,11 +61,11 @@ def test_the_skyline_is_the_exact_horizon_within_half_a_step(mountains, share):
     place = tuple(float(at) for at in field.to_map(300.0 * share[0], 300.0 * share[1]))
     exact = horizon(field, **at_deg(field.frame.to_lonlat(*place)), eye_height_m=20.0, step_deg=0.1)
     eye = stand_on(field, **at_m(place), eye_height_m=20.0)
-    seen = Landscape.of(field, eye, exact.azimuth_deg[0])
-    distance_m, resolved = exact.distance_m[0], exact.distance_m[0] > 0.35 * field.spacing_m
+    seen = Landscape.of(field, eye, exact.azimuth_deg)
+    distance_m, resolved = exact.distance_m, exact.distance_m > 0.35 * field.spacing_m
     # Of the ground past the border nothing is drawn.
-    resolved &= exact.flags[0] & FLAG_TRUNCATED == 0
-    short_deg = exact.elevation_deg[0] - seen.skyline_deg
+    resolved &= exact.flags & FLAG_TRUNCATED == 0
+    short_deg = exact.elevation_deg - seen.skyline_deg
     # What stands highest is found to where it crosses an edge, unless it is hidden at both steps
     # beside it: then it rises no more than the steepest ground does in half a step.
     step_m = np.maximum(field.spacing_m, np.radians(0.1) * distance_m)

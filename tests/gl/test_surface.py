@@ -149,6 +149,6 @@ def test_with_a_surface_places_in_a_forest_are_found_nearer(bare, canopy, forest
             off_m[name].append(np.hypot(*(place - [best.easting_m[0], best.northing_m[0]])))
     without_m, with_m = np.array(off_m["without"]), np.array(off_m["with"])
     for scene in scenes.values():
-        scene.release()
+        scene.close()
     assert np.median(with_m) < 0.7 * np.median(without_m)
     assert (with_m < 20.0).sum() > (without_m < 20.0).sum()

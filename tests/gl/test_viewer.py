@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from skyline import Matcher, Narrowing, OffMapError, Viewer, read_dem, read_skyline
-from skyline.errors import ContextError, InputError
+from skyline.errors import InputError
 from skyline.render.horizon import HorizonRenderer, RenderConfig
 from skyline.skylines import HEADINGS
 from skyline.terrain.viewpoints import stand_on
@@ -177,10 +177,18 @@ def test_a_match_reports_its_progress_and_ends_when_the_callback_raises(matcher,
     assert matcher.match(skyline).candidates == plain.candidates
 
 
-def test_a_released_matcher_and_another_thread_are_refused(store, skyline):
+def test_threads_match_at_once_after_this_one_has_rendered(matcher, skyline):
+    """As in a notebook, whose own thread has drawn horizons and has made the matcher."""
+    plain = matcher.match(skyline).candidates
+    with ThreadPoolExecutor(3) as pool:
+        found = list(pool.map(lambda _: matcher.match(skyline).candidates, range(3)))
+    assert found == [plain] * 3
+    assert matcher.match(skyline).candidates == plain
+
+
+def test_a_closed_matcher_is_refused(store, skyline):
     made = Matcher(store)
-    with ThreadPoolExecutor(1) as pool, pytest.raises(ContextError, match="render in that thread"):
-        pool.submit(made.match, skyline).result()
-    made.release()
-    with pytest.raises(InputError, match="released; make another"):
+    made.close()
+    made.close()
+    with pytest.raises(InputError, match="closed; make another"):
         made.match(skyline)

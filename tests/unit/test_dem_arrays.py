@@ -13,7 +13,6 @@ from scenes import fractal, write_dem
 
 from skyline.errors import InputError
 from skyline.terrain.dem import read_dem
-from skyline.terrain.heightfield import HeightField
 from skyline.terrain.provenance import DemOptions
 
 rioxarray = pytest.importorskip("rioxarray")
@@ -53,9 +52,9 @@ def path(request, tmp_path):
 
 def test_an_open_dataset_gives_what_its_file_gives(path):
     with rasterio.open(path) as dataset:
-        field = HeightField.from_rasterio(dataset)
+        field = read_dem(dataset)
     with pytest.raises(InputError):
-        HeightField.from_rasterio(dataset)
+        read_dem(dataset)
     with os.scandir(path.parent) as entries:
         assert_same(field, read_dem(next(entries)))
     assert field.provenance.files == (str(path),)
@@ -64,14 +63,14 @@ def test_an_open_dataset_gives_what_its_file_gives(path):
 @pytest.mark.parametrize("masked", [False, True])
 def test_a_data_array_gives_what_its_file_gives(path, masked):
     with rioxarray.open_rasterio(path, masked=masked) as array:
-        assert_same(HeightField.from_xarray(array), read_dem(path))
+        assert_same(read_dem(array), read_dem(path))
 
 
 UTM = DemOptions(crs="EPSG:32632")
 
 
 def test_order_and_names_of_dimensions_do_not_matter():
-    field = HeightField.from_xarray(array_of(), UTM)
+    field = read_dem(array_of(), UTM)
     np.testing.assert_array_equal(field.heights_m, array_of().values)
     assert (field.west_m, field.north_m) == (6e5, 5_180_000.0)
     for other in (
@@ -81,17 +80,17 @@ def test_order_and_names_of_dimensions_do_not_matter():
         array_of().expand_dims("band"),
         array_of("northing", "easting"),
     ):
-        assert HeightField.from_xarray(other, UTM).digest == field.digest
+        assert read_dem(other, UTM).digest == field.digest
 
 
 def test_units_scale_and_cf_grid_mappings_are_heeded():
     feet = array_of().assign_attrs(units="ft", scale_factor=0.5, add_offset=10.0)
-    field = HeightField.from_xarray(feet, UTM)
+    field = read_dem(feet, UTM)
     np.testing.assert_allclose(field.heights_m, (array_of() * 0.5 + 10.0) * 0.3048, rtol=1e-6)
     named = array_of().assign_attrs(missing_value=array_of().values.ravel()[[0, 7]])
-    assert HeightField.from_xarray(named, UTM).provenance.filled >= 2
+    assert read_dem(named, UTM).provenance.filled >= 2
     mapping = CRS.from_epsg(32632).to_cf()
     crs = xarray.DataArray(0, attrs={name: mapping[name] for name in mapping if name != "crs_wkt"})
     mapped = array_of().assign_coords(utm=crs).assign_attrs(grid_mapping="utm")
-    lonlat_deg = HeightField.from_xarray(mapped).frame.to_lonlat(6e5, 5.18e6)
+    lonlat_deg = read_dem(mapped).frame.to_lonlat(6e5, 5.18e6)
     np.testing.assert_allclose(lonlat_deg, field.frame.to_lonlat(6e5, 5.18e6), atol=1e-9)

@@ -15,7 +15,6 @@ from scenes import UTM, write_dem
 from skyline.errors import InputError
 from skyline.geodesy.map_frame import TRUE_DEG
 from skyline.terrain.dem import read_dem
-from skyline.terrain.heightfield import HeightField
 from skyline.terrain.products import GROUND, SURFACE, UNKNOWN, model_of
 from skyline.terrain.provenance import DemOptions
 
@@ -148,7 +147,7 @@ def test_depths_become_negative_heights(tmp_path):
     np.testing.assert_array_equal(read_dem(path).heights_m, -30.0)
     at = {"y": 5e6 - 30.0 * np.arange(3), "x": 5e5 + 30.0 * np.arange(3)}
     array = xarray.DataArray(np.full((3, 3), 30.0), at, ("y", "x"), attrs={"positive": "down"})
-    field = HeightField.from_xarray(array, DemOptions(crs=UTM))
+    field = read_dem(array, DemOptions(crs=UTM))
     np.testing.assert_array_equal(field.heights_m, -30.0)
 
 

@@ -54,11 +54,11 @@ class TestFiles:
         [
             ([], "no DEM file"),
             ("", "without a name"),
-            (None, "HeightField itself an array"),
-            (b"a.tif", "HeightField itself an array"),
-            (np.ones((4, 4)), "HeightField itself an array"),
-            (np.array(1.0), "HeightField itself an array"),
-            ([None], "HeightField itself an array"),
+            (None, "expected paths, a DataArray"),
+            (b"a.tif", "expected paths, a DataArray"),
+            (np.ones((4, 4)), "expected paths, a DataArray"),
+            (np.array(1.0), "expected paths, a DataArray"),
+            ([None], "expected paths, a DataArray"),
         ],
         ids=repr,
     )
@@ -314,19 +314,17 @@ class TestArrays:
         ids=lambda value: value if isinstance(value, str) else "",
     )
     def test_that_are_no_dem(self, array, options, said):
-        assert_says(said, lambda: HeightField.from_xarray(array, options))
+        assert_says(said, lambda: read_dem(array, options))
 
-    @pytest.mark.parametrize("read", [HeightField.from_rasterio, HeightField.from_xarray, read_dem])
-    @pytest.mark.parametrize("given", [b"a.tif", array_of().to_dataset()], ids=["bytes", "Dataset"])
-    def test_of_another_type(self, read, given):
-        said = f"is of type {type(given).__name__}; read_dem takes"
-        assert_says(said, lambda: read(given))
+    def test_of_another_type(self):
+        said = "is of type Dataset; expected paths, a DataArray"
+        assert_says(said, lambda: read_dem(array_of().to_dataset()))
 
     def test_of_a_dataset_that_is_closed(self, tmp_path):
         with rasterio.open(write_dem(tmp_path / "a.tif", ONES)) as dataset:
             pass
-        said = "from_rasterio an open rasterio dataset"
-        assert_says(said, lambda: HeightField.from_rasterio(dataset))
+        said = "an open rasterio dataset"
+        assert_says(said, lambda: read_dem(dataset))
 
     @pytest.mark.parametrize(
         ("corner_and_steps", "frame", "said"),

@@ -11,7 +11,6 @@ from scenes import write_dem
 
 from skyline.errors import InputError
 from skyline.terrain.dem import read_dem
-from skyline.terrain.heightfield import HeightField
 from skyline.terrain.repair import void_undeclared
 
 
@@ -65,7 +64,7 @@ def test_an_alpha_band_marks_the_voids(tmp_path, dtype, order):
     assert np.count_nonzero(field.heights_m == 200.0) == 1200
     assert field.provenance.conventions["nodata"] == "by a mask"
     with rasterio.open(path) as dataset:
-        assert HeightField.from_rasterio(dataset).digest == field.digest
+        assert read_dem(dataset).digest == field.digest
 
 
 def test_what_rasterio_warps_with_an_alpha_band_has_voids_round_it(tmp_path):
@@ -76,7 +75,7 @@ def test_what_rasterio_warps_with_an_alpha_band_has_voids_round_it(tmp_path):
         WarpedVRT(dataset, crs="EPSG:3413", add_alpha=True) as turned,
     ):
         assert turned.count == 2
-        field = HeightField.from_rasterio(turned)
+        field = read_dem(turned)
     assert field.height_range_m == (900.0, 900.0)
     # A square turned by 55 degrees leaves half of the box around it void.
     assert field.provenance.hollow > 600

@@ -7,9 +7,11 @@ import json
 import sys
 from concurrent.futures import CancelledError
 from dataclasses import replace
+from functools import partial
 from unittest.mock import Mock
 
 import numpy as np
+import pandas as pd
 import pytest
 from font_scenes import UNDRAWN
 from packages import install
@@ -18,17 +20,22 @@ from scenes import FRAME, candidate_at, field_from, field_of, fractal
 from store_rows import HEADERS, write_rows
 
 from skyline import (
+    Curvature,
     LocalHorizons,
     MatchResult,
+    Narrowing,
     Orienter,
     Peaks,
     PhotoSkyline,
     ReliefTiles,
     Viewer,
+    build_places,
     export_matches,
+    horizon,
     open_store,
     save_panorama,
     sky_view_factor,
+    stand_on,
 )
 from skyline.errors import BuildError, BusyError, InputError, OffMapError
 from skyline.match.config import MatchConfig
@@ -221,6 +228,11 @@ class TestViews:
         assert_says("expected a zoom", lambda: ReliefTiles(FLAT).png(*at))
 
 
+def pose_with(text):
+    """Make a pose of angles, one of them a text."""
+    return Viewer(FLAT).pose(lon=9.8, lat=46.8, **{**ANGLES, text: "1"})
+
+
 def horizons_of(count, name=""):
     """Return flat horizons of places on the equator, eight azimuths each."""
     zeros = np.zeros((count, 8), np.float32)
@@ -235,15 +247,16 @@ class TestHorizons:
     @pytest.mark.parametrize(
         ("chosen", "said"),
         [
-            ((), "there are 3 places and none is chosen; give place=0 to 2"),
-            ((3,), "there are 3 places and place is 3; give place=0 to 2"),
+            ((), "there are 3 places and none is chosen; take one"),
+            ((3,), "there are 3 places and place is 3; take one"),
         ],
     )
-    @pytest.mark.parametrize("method", ["to_series", "plot", "sun_above"])
-    def test_of_several_places(self, method, chosen, said):
-        call = getattr(horizons_of(3), method)
-        day = ("2026-06-21",) if method == "sun_above" else ()
-        assert_says(said, lambda: call(*day, *chosen))
+    def test_of_several_places(self, chosen, said):
+        assert_says(said, lambda: horizons_of(3).sun_above("2026-06-21", *chosen))
+
+    def test_of_a_place_that_is_not_there(self):
+        said = r"0 of 3 places have the id 'B' \(ids: A\); give one of the ids, or lon and lat"
+        assert_says(said, lambda: horizons_of(3, "A").sel("B"))
 
     def test_of_a_place_whose_name_no_font_draws(self, caplog):
         horizons_of(1, UNDRAWN).plot()
@@ -275,6 +288,41 @@ class TestHorizons:
 )
 def test_a_setting_of_matches_out_of_its_range(setting, said):
     assert_says(said, lambda: MatchConfig(**setting))
+
+
+ANGLES = {"heading_deg": 0.0, "pitch_deg": 0.0, "roll_deg": 0.0, "fov_deg": 60.0}
+EIGHT_DEG = np.arange(8) * 45.0
+
+
+class TestTextInPlaceOfANumber:
+    @pytest.mark.parametrize(
+        ("call", "name"),
+        [
+            (lambda: horizon(FLAT, lon="9.8", lat=46.8), "lon"),
+            (lambda: horizon(FLAT, lon=9.8, lat=[46.8, "46.9"]), "lat"),
+            (lambda: horizon(FLAT, lon=9.8, lat=46.8, eye_height_m="2"), "eye_height_m"),
+            (lambda: stand_on(FLAT, easting_m=pd.Series(["0"]), northing_m=0.0), "easting_m"),
+            (lambda: FLAT.height_at(easting_m="0", northing_m=0.0), "easting_m"),
+            (lambda: FRAME.to_lonlat("0", 0.0), "easting_m"),
+            (lambda: Curvature(refraction_k="0.1"), "refraction_k"),
+            (lambda: sky_view_factor(EIGHT_DEG, ["0"] * 8), "elevation_deg"),
+            (lambda: PhotoSkyline(["3"] * 8, np.ones(8), 8, 8), "row_px"),
+            (lambda: PhotoSkyline(np.ones(8), np.ones(8), 8, 8, "60"), "fov_deg"),
+            (lambda: MatchConfig(min_confidence="0.9"), "min_confidence"),
+            (lambda: Orienter(FLAT, lon=9.8, lat=46.8, position_sd_m="9"), "position_sd_m"),
+            (lambda: build_places(FLAT, "a.h5", "80"), "spacing_m"),
+            *((partial(pose_with, name), name) for name in ANGLES),
+        ],
+        ids=str,
+    )
+    def test_of_a_library_call(self, call, name):
+        assert_says(f"{name} has the text .*; expected numbers: convert it by float", call)
+
+    @pytest.mark.parametrize(
+        "given", [{"near": ("9.8", "46.8", "3")}, {"eye_height_m": "2"}], ids=str
+    )
+    def test_of_a_narrowing(self, given):
+        assert_says("expected", lambda: Narrowing(**given))
 
 
 class TestResults:
@@ -327,6 +375,8 @@ class TestResults:
         monkeypatch.setitem(sys.modules, "geopandas", None)
         monkeypatch.setitem(sys.modules, "xarray", None)
         assert_says("pip install geopandas", RESULT.to_geodataframe)
+        assert_says("pip install geopandas", horizons_of(2).to_geodataframe)
+        assert_says("pip install xarray", horizons_of(2).to_xarray)
         with open_store(write_rows(tmp_path / "s.h5", 0, 9, HEADERS["places"])) as store:
             assert_says("pip install xarray", store.to_xarray)
             assert_says("pip install geopandas", store.to_geodataframe)

@@ -29,26 +29,79 @@ def horizons_of(*heights_deg, names=()):
     )
 
 
-@pytest.mark.parametrize("method", ["to_series", "plot", "sun_above"])
-def test_none_of_several_places_is_taken_unless_it_is_chosen(method):
-    call = getattr(horizons_of(1.0, 2.0, 3.0), method)
-    day = ("2026-06-21",) if method == "sun_above" else ()
-    with pytest.raises(InputError):
-        call(*day)
-    with pytest.raises(InputError):
-        call(*day, 3)
-
-
-def test_a_series_is_of_the_place_that_is_chosen_or_the_only_one():
-    expected = pd.Series(np.full(8, 3.0), pd.Index(AZIMUTH_DEG))
+def test_none_of_several_suns_is_taken_unless_its_place_is_chosen():
     three = horizons_of(1.0, 2.0, 3.0)
-    for series in (three.to_series(2), three.to_series(-1), horizons_of(3.0).to_series()):
+    with pytest.raises(InputError):
+        three.sun_above("2026-06-21")
+    with pytest.raises(InputError):
+        three.sun_above("2026-06-21", 3)
+    assert three.sun_above("2026-06-21", 1) == three[1].sun_above("2026-06-21")
+
+
+def test_places_are_taken_by_number_as_from_an_array():
+    three = horizons_of(1.0, 2.0, 3.0)
+    assert len(three) == 3
+    assert [float(one.elevation_deg[0]) for one in three] == [1.0, 2.0, 3.0]
+    assert three[-1].lon == 2.0
+    assert three[1:].lon.tolist() == three[np.array([False, True, True])].lon.tolist() == [1.0, 2.0]
+    with pytest.raises(IndexError):
+        three[3]
+    with pytest.raises(TypeError):
+        len(three[0])
+
+
+def test_places_are_taken_by_id_or_by_the_nearest_position():
+    three = horizons_of(1.0, 2.0, 3.0, names=["A", "B", "B"])
+    assert three.sel("A").elevation_deg[0] == 1.0
+    assert three.sel(lon=1.4, lat=1.0).elevation_deg[0] == 2.0
+    for call in ({"place_id": "B"}, {"place_id": "C"}, {"lon": 1.0}, {}):
+        with pytest.raises(InputError):
+            three.sel(**call)
+
+
+def test_a_series_is_of_one_place_or_of_all_by_place():
+    three = horizons_of(1.0, 2.0, 3.0)
+    expected = pd.Series(np.full(8, 3.0), pd.Index(AZIMUTH_DEG))
+    for series in (three[2].to_series(), horizons_of(3.0).to_series()):
         pd.testing.assert_series_equal(series, expected, check_names=False)
+    columns = three.to_series().unstack("place")
+    assert columns.loc[45.0].tolist() == [1.0, 2.0, 3.0]
+    named = horizons_of(1.0, 2.0, names=["A", "B"]).to_series()
+    assert named["B", 90.0] == 2.0
 
 
-def test_a_plot_is_of_the_place_that_is_chosen():
-    (line,) = horizons_of(1.0, 2.0, 3.0).plot(1).lines
+def test_a_table_has_a_row_for_each_place_and_azimuth():
+    table = horizons_of(1.0, 2.0, names=["A", "B"]).to_dataframe()
+    assert list(table) == ["id", "lon", "lat", "azimuth_deg", "elevation_deg", "distance_m"]
+    assert table.loc[9].tolist() == ["B", 1.0, 0.0, 45.0, 2.0, 1000.0]
+    assert len(table) == 16
+
+
+def test_a_table_of_points_has_a_row_for_each_place():
+    table = horizons_of(0.0, 60.0).to_geodataframe()
+    assert table.crs == "EPSG:4326"
+    assert table.geometry.x.tolist() == [0.0, 1.0]
+    assert table["sky_view_factor"].tolist() == pytest.approx([1.0, 0.25])
+
+
+@pytest.mark.parametrize(
+    ("shape", "dims"), [((), ()), ((6,), ("point",)), ((2, 3), ("y", "x"))], ids=str
+)
+def test_a_dataset_has_the_dimensions_of_the_places(shape, dims):
+    places = horizons_of(*range(6 if shape else 1)).reshape(*shape)
+    data = places.to_xarray()
+    assert data.elevation_deg.dims == (*dims, "azimuth_deg")
+    assert data.sky_view_factor.dims == data.lon.dims == dims
+    np.testing.assert_array_equal(data.sel(azimuth_deg=90.0).elevation_deg, places.lon)
+
+
+def test_a_plot_has_a_line_for_each_place():
+    (line,) = horizons_of(2.0).plot().lines
     np.testing.assert_array_equal(line.get_ydata(), np.full(8, 2.0))
+    axes = horizons_of(1.0, 2.0, names=["$A_{$", "B"]).plot()
+    assert [one.get_ydata()[0] for one in axes.lines] == [1.0, 2.0]
+    axes.figure.canvas.draw()
+    assert [text.get_text() for text in axes.get_legend().get_texts()] == ["$A_{$", "B"]
 
 
 def test_the_sun_is_seen_longest_where_the_horizon_is_lowest():

@@ -192,6 +192,21 @@ def test_coarser_pixels_are_those_of_all_pixels(rough):
         viewer.places(replace(pose, easting_m=9e5), skyline)
 
 
+def test_places_are_a_dataset_and_tables(rough):
+    pose, skyline = pose_at(rough, 1400.0, -1300.0, 25.0, "level")
+    places = Viewer(rough).places(pose, skyline, 2)
+    data = places.to_xarray()
+    np.testing.assert_array_equal(data.distance_m, places.distance_m)
+    assert float(data.sel(row_px=40, column_px=60).lon) == places.lon[20, 30]
+    table = places.to_dataframe()
+    assert len(table) == np.isfinite(places.distance_m).sum()
+    row, column = table["row_px"] // 2, table["column_px"] // 2
+    np.testing.assert_array_equal(table["elevation_m"], places.elevation_m[row, column])
+    points = places.to_geodataframe()
+    assert points.crs == "EPSG:4326"
+    np.testing.assert_array_equal(points.geometry.x, places.lon[row, column])
+
+
 def test_files_of_places_hold_the_arrays_and_the_pose(rough, tmp_path):
     pose, skyline = pose_at(rough, 1400.0, -1300.0, 25.0, "level")
     places = Viewer(rough).places(pose, skyline, 2)

@@ -13,6 +13,8 @@ from skyline.cli import COMMANDS
 HEAVY = {"cv2", "matplotlib", "moderngl", "h5py", "numpy", "rasterio", "scipy", "xarray"}
 INTERNAL = {"Horizons", "Sighting", "SkySession", "Spec", "Tabled", "WholeFile"}
 """Skyline's own, in signatures that users have no need to call or settings of settings."""
+OPTIONAL = ("Axes", "DataArray", "DataFrame", "Dataset", "GeoDataFrame", "Series")
+"""Of libraries that are loaded when a method needs them, if at all."""
 
 
 @pytest.mark.parametrize(
@@ -67,9 +69,16 @@ def functions_of(thing):
 
 
 @pytest.mark.parametrize("name", skyline.__all__)
+def test_help_names_types_and_not_what_they_are_made_of(name):
+    for function in functions_of(getattr(skyline, name)):
+        for parameter in inspect.signature(function).parameters.values():
+            assert len(str(parameter)) <= 150, f"{function.__qualname__}: {parameter}"
+
+
+@pytest.mark.parametrize("name", skyline.__all__)
 def test_types_of_parameters_and_results_are_public_too(name):
     names = ("DemOptions", "MatchResult", "Orientation")
-    known = {each: getattr(skyline, each) for each in names}
+    known = {each: getattr(skyline, each) for each in names} | dict.fromkeys(OPTIONAL, object)
     for function in functions_of(getattr(skyline, name)):
         for hint in typing.get_type_hints(function, localns=known).values():
             for each in classes_in(hint):

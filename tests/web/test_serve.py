@@ -16,12 +16,10 @@ from PIL import Image
 from PIL.ExifTags import Base
 
 from skyline import Matcher, Narrowing, read_skyline
-from skyline.render.context import release_context
 from skyline.web.server import Reach, own_addresses
 
 
 def test_what_cannot_be_served_is_one_line(run, store, photo, renderings, tmp_path):
-    release_context()  # it is for the page's own thread
     assert_refused(run("serve", store, tmp_path / "none.jpg"), "none.jpg does not exist")
     assert_refused(run("serve", tmp_path / "none.h5", "--port", "0"), "none.h5")
     assert_refused(run("serve", photo, "--port", "0"), "photo.jpg")

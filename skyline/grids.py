@@ -1,0 +1,312 @@
+"""Horizons and sky view factors at every sample of an elevation model, as DataArrays.
+
+Azimuths are degrees from true north.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from threading import Lock
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from pyproj import CRS
+
+from skyline.arrays import Float32Array, Float64Array, IntArray, Progress, refuse_text
+from skyline.errors import InputError, library
+from skyline.geodesy.crs import transformer
+from skyline.geodesy.earth import Curvature
+from skyline.horizons import steps_a_turn
+from skyline.render.horizon import PanoramaRenderer
+from skyline.sky_view import sky_view_factor
+from skyline.terrain.dem import Dem, read_dem
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import Viewpoints
+
+if TYPE_CHECKING:
+    from xarray import DataArray
+
+GRID_STEP_DEG = 5.0
+"""Step between azimuths that suffices for a sky view factor: `skyline-bench sky-view` has the
+errors of this step and of others."""
+GRID_EYE_HEIGHT_M = 0.1
+"""Height above ground: an eye on the ground itself, that rounding does not put below it."""
+_AT_ONCE = 4096
+"""About as many eyes are rendered between two reports of progress."""
+
+_WGS84 = CRS.from_epsg(4326)
+
+_Look = Callable[["_Eyes", IntArray, IntArray], Float32Array]
+"""Returns what eyes of some rows and columns see, the samples' dimensions last."""
+
+
+def sky_view_grid(
+    dem: Dem,
+    *,
+    step_deg: float = GRID_STEP_DEG,
+    eye_height_m: float = GRID_EYE_HEIGHT_M,
+    curvature: Curvature | None = None,
+    progress: Progress | None = None,
+) -> DataArray:
+    """Return the sky view factor at every sample of a DEM.
+
+    The factor of a sample is the one of a level surface that `LocalHorizons.sky_view_factor` gives
+    for the same horizon.
+
+    Parameters
+    ----------
+    dem : path, paths, DataArray or HeightField
+        A DataArray gives a result on its own grid. If Dask keeps it in chunks, so it does the
+        result, whose chunks are computed when they are needed; the DEM is in memory as a whole,
+        since a horizon may lie anywhere in it. Everything else gives a result on the grid of the
+        height field that `read_dem` makes of it.
+    step_deg : float
+        Step between azimuths.
+    eye_height_m : float
+        Metres above ground.
+    curvature : Curvature, optional
+        Defaults to the Earth's with k = 0.13.
+    progress : callable, optional
+        Called with the number of samples that are done, and of all; not for a DataArray in chunks,
+        whose progress `dask.diagnostics.ProgressBar` shows.
+
+    Returns
+    -------
+    xarray.DataArray
+        (y, x) float32, 0 to 1; NaN where the DEM has no height.
+
+    Raises
+    ------
+    InputError
+        Xarray is not installed, the step does not divide a full turn, the eye is below the ground,
+        or as `read_dem`.
+    ContextError
+        No OpenGL context can be created.
+    """
+    eyes = _Eyes.of(dem, step_deg, eye_height_m, curvature)
+    about = {"long_name": "sky view factor of a level surface", "units": "1"}
+    return eyes.grid.labelled("sky_view_factor", _seen(eyes, _factors, (), progress), about)
+
+
+def horizon_grid(
+    dem: Dem,
+    *,
+    step_deg: float = GRID_STEP_DEG,
+    eye_height_m: float = GRID_EYE_HEIGHT_M,
+    curvature: Curvature | None = None,
+    progress: Progress | None = None,
+) -> DataArray:
+    """Return the horizon at every sample of a DEM.
+
+    Parameters and errors are as for `sky_view_grid`.
+
+    Returns
+    -------
+    xarray.DataArray
+        (azimuth_deg, y, x) float32: elevation angles of the horizon, degrees, by azimuth from true
+        north; NaN where the DEM has no height or an azimuth meets no data. The horizons of 1000 x
+        1000 samples take 290 MB at a step of 5 degrees.
+    """
+    eyes = _Eyes.of(dem, step_deg, eye_height_m, curvature)
+    about = {"long_name": "elevation angle of the horizon", "units": "degrees"}
+    data = _seen(eyes, _elevations, (eyes.steps,), progress)
+    true_north = {"long_name": "azimuth, clockwise from true north", "units": "degrees"}
+    first = {"azimuth_deg": ("azimuth_deg", eyes.azimuth_deg, true_north)}
+    return eyes.grid.labelled("elevation_deg", data, about, first)
+
+
+def _seen(
+    eyes: _Eyes, look: _Look, first: tuple[int, ...], progress: Progress | None
+) -> Float32Array | Any:
+    """Return what is seen from all samples (*first, rows, columns), by blocks."""
+    rows, cols = eyes.grid.shape
+    if eyes.grid.chunks is not None:
+        return _lazily_seen(eyes, look, first)
+    seen = np.empty((*first, rows, cols), dtype=np.float32)
+    every = np.arange(cols)
+    step = max(_AT_ONCE // cols, 1)
+    for start in range(0, rows, step):
+        some = np.arange(start, min(start + step, rows))
+        seen[..., some, :] = look(eyes, some, every)
+        if progress is not None:
+            progress((int(some[-1]) + 1) * cols, rows * cols)
+    eyes.close()
+    return seen
+
+
+def _lazily_seen(eyes: _Eyes, look: _Look, first: tuple[int, ...]) -> Any:
+    """Return what is seen as an array of Dask, in the chunks of the grid."""
+    dask = library("dask.array", "a DataArray in chunks", "'dask[array]'")
+    down, across = eyes.grid.chunks or ((), ())
+    rows = dask.arange(eyes.grid.shape[0], chunks=(down,))[:, np.newaxis]
+    cols = dask.arange(eyes.grid.shape[1], chunks=(across,))[np.newaxis]
+    options = {"new_axis": 0, "chunks": (first, down, across)} if first else {}
+    return dask.map_blocks(
+        _block, rows, cols, eyes=eyes, look=look, dtype=np.float32, meta=np.empty((), np.float32),
+        **options,
+    )  # fmt: skip
+
+
+def _block(rows: IntArray, cols: IntArray, eyes: _Eyes, look: _Look) -> Float32Array:
+    return look(eyes, rows.ravel(), cols.ravel())
+
+
+def _elevations(eyes: _Eyes, rows: IntArray, cols: IntArray) -> Float32Array:
+    """Return the horizons (A, rows, columns) of some samples, degrees."""
+    elevation_deg, stands = eyes.look(rows, cols)
+    seen = np.full((eyes.steps, *stands.shape), np.nan, dtype=np.float32)
+    seen[:, stands] = elevation_deg.T
+    return seen
+
+
+def _factors(eyes: _Eyes, rows: IntArray, cols: IntArray) -> Float32Array:
+    """Return the sky view factors (rows, columns) of some samples."""
+    elevation_deg, stands = eyes.look(rows, cols)
+    seen = np.full(stands.shape, np.nan, dtype=np.float32)
+    seen[stands] = sky_view_factor(eyes.azimuth_deg, elevation_deg)
+    return seen
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Grid:
+    """The samples of a DEM as it was given, and the DataArrays that they make."""
+
+    field: HeightField
+    x: Float64Array
+    """(columns,)"""
+    y: Float64Array
+    """(rows,)"""
+    crs: CRS | None
+    """Of x and y; None where they are samples of the field."""
+    dims: tuple[str, str]
+    coords: dict[str, Any]
+    attrs: dict[str, Any]
+    chunks: tuple[tuple[int, ...], tuple[int, ...]] | None = None
+    """Those of Dask; None where all is in memory."""
+
+    @classmethod
+    def of(cls, dem: Any) -> _Grid:
+        """Return the grid of an array, or of the field that anything else is read as."""
+        xarray = library("xarray", "a DataArray")
+        field = read_dem(dem)
+        if isinstance(dem, xarray.DataArray):
+            return cls._of_array(dem, field)
+        x_m, _ = field.to_map(0.0, np.arange(field.cols))
+        _, y_m = field.to_map(np.arange(field.rows), 0.0)
+        metres = {"units": "m"}
+        coords = {
+            "y": ("y", y_m, {"standard_name": "projection_y_coordinate", **metres}),
+            "x": ("x", x_m, {"standard_name": "projection_x_coordinate", **metres}),
+            "spatial_ref": ((), 0, field.frame.crs.to_cf()),
+        }
+        return cls(field, x_m, y_m, None, ("y", "x"), coords, {"grid_mapping": "spatial_ref"})
+
+    @classmethod
+    def _of_array(cls, array: DataArray, field: HeightField) -> _Grid:
+        from skyline.terrain.raster_tiles import array_tile, dims_of  # noqa: PLC0415  (slow)
+
+        y, x = dims_of("the DataArray", array)
+        crs = None if field.provenance.resampling == "none" else array_tile(array, None).crs
+        coords = {name: one for name, one in array.coords.items() if {*one.dims} <= {y, x}}
+        mapping = array.encoding.get("grid_mapping", array.attrs.get("grid_mapping"))
+        chunks = None
+        if array.chunks is not None:
+            chunks = array.chunks[array.dims.index(y)], array.chunks[array.dims.index(x)]
+        return cls(
+            field,
+            np.asarray(array[x].values, dtype=np.float64),
+            np.asarray(array[y].values, dtype=np.float64),
+            crs,
+            (y, x),
+            {str(name): one for name, one in coords.items()},
+            {} if mapping is None else {"grid_mapping": mapping},
+            chunks,
+        )
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Numbers of rows and columns."""
+        return len(self.y), len(self.x)
+
+    def position_m(self, rows: IntArray, cols: IntArray) -> tuple[Float64Array, Float64Array]:
+        """Return easting and northing (rows * columns,) of samples in the field's frame."""
+        y, x = (one.ravel() for one in np.meshgrid(self.y[rows], self.x[cols], indexing="ij"))
+        if self.crs is None:
+            # Rounding must not put the outermost samples off the map.
+            return self.field.to_map(*map(np.rint, self.field.to_grid(easting_m=x, northing_m=y)))
+        return self.field.frame.from_lonlat(*transformer(self.crs, _WGS84).transform(x, y))
+
+    def labelled(
+        self, name: str, data: Any, about: dict[str, str], first: dict[str, Any] | None = None
+    ) -> DataArray:
+        """Return data as an array with the grid's coordinates, ``first`` before them."""
+        first = first or {}
+        array: DataArray = library("xarray", "a DataArray").DataArray(
+            data, {**first, **self.coords}, (*first, *self.dims), name, {**about, **self.attrs}
+        )
+        return array
+
+
+class _Eyes:
+    """Eyes on the samples of a grid, and the renderer of their horizons.
+
+    Any thread may look. Workers of Dask get a copy without the renderer, and make their own.
+    """
+
+    def __init__(
+        self, grid: _Grid, steps: int, eye_height_m: float, curvature: Curvature | None
+    ) -> None:
+        self.grid = grid
+        self.steps = steps
+        self.azimuth_deg = np.arange(steps) * (360.0 / steps)
+        self._eye_height_m = eye_height_m
+        self._curvature = curvature
+        self._renderer: PanoramaRenderer | None = None
+        self._making = Lock()
+
+    @classmethod
+    def of(
+        cls, dem: Dem, step_deg: float, eye_height_m: float, curvature: Curvature | None
+    ) -> _Eyes:
+        """Return eyes on a DEM's samples; raises as `sky_view_grid`."""
+        steps = steps_a_turn(step_deg)
+        refuse_text(eye_height_m=eye_height_m)
+        if not 0.0 <= eye_height_m < math.inf:
+            raise InputError(f"the eye is {eye_height_m:g} m above ground; expected 0 or more")
+        return cls(_Grid.of(dem), steps, eye_height_m, curvature)
+
+    def look(self, rows: IntArray, cols: IntArray) -> tuple[Float64Array, Any]:
+        """Return horizons (N, A) in degrees, and where (rows, columns) the N eyes stand."""
+        field = self.grid.field
+        easting_m, northing_m = self.grid.position_m(rows, cols)
+        ground_m = field.height_at(easting_m=easting_m, northing_m=northing_m)
+        stands = np.isfinite(ground_m)
+        eyes = Viewpoints(
+            easting_m=easting_m,
+            northing_m=northing_m,
+            eye_elevation_m=ground_m + self._eye_height_m,
+        )[stands]
+        to_grid_rad = -np.radians(
+            field.frame.convergence_deg(easting_m=eyes.easting_m, northing_m=eyes.northing_m)
+        )
+        # The renderer needs a multiple of 8 steps per turn; the extra steps are dropped.
+        every = 8 // math.gcd(self.steps, 8)
+        with self._making:
+            if self._renderer is None:
+                self._renderer = PanoramaRenderer(field, self.steps * every, self._curvature)
+        seen = self._renderer.render(eyes, to_grid_rad)
+        elevation_deg = np.degrees(np.arctan(seen.elevation_tan[:, ::every]))
+        return elevation_deg, stands.reshape(len(rows), len(cols))
+
+    def close(self) -> None:
+        """Free the renderer's memory."""
+        if self._renderer is not None:
+            self._renderer.close()
+
+    def __getstate__(self) -> tuple[Any, ...]:
+        return self.grid, self.steps, self._eye_height_m, self._curvature
+
+    def __setstate__(self, state: tuple[Any, ...]) -> None:
+        self.__init__(*state)  # type: ignore[misc]  # A copy is made like the original.
