@@ -109,12 +109,12 @@ def run_main(monkeypatch, capsys):
     # A command's name is its script's, also where pytest was started as a module.
     monkeypatch.setattr(sys.modules["__main__"], "__package__", None)
 
-    def run_command(main, name, *arguments, slow_s=1e6):
+    def run_command(main, name, *arguments, slow_s=1e6, every_s=1e6):
         monkeypatch.setattr("sys.argv", [name, *map(str, arguments)])
         capsys.readouterr()
         with pytest.raises(SystemExit) as stop:
             # How long a command takes here must not change its output.
-            main(terminal=Terminal(slow_s=slow_s))
+            main(terminal=Terminal(slow_s=slow_s, every_s=every_s))
         printed = capsys.readouterr()
         return Result(int(stop.value.code or 0), printed.out, printed.err)
 

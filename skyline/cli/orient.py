@@ -74,14 +74,18 @@ def orient(
     rows: list[dict[str, Any]] = []
     exit_code = 0
     oriented = 0
-    for entry, found in zip(entries, orient_photos(terrain, entries, stood), strict=True):
-        if isinstance(found, SkylineError):
-            terminal.error(str(found))
-            exit_code = found.exit_code
-        else:
-            oriented += 1
-            _print(terminal, entry, found, output)
-        rows.append(_row(entry, found))
+    doing = f"orienting {entries[0].path}" if len(entries) == 1 else "orienting photos"
+    with terminal.progress(doing) as progress:
+        progress(0, len(entries))
+        for entry, found in zip(entries, orient_photos(terrain, entries, stood), strict=True):
+            if isinstance(found, SkylineError):
+                terminal.error(str(found))
+                exit_code = found.exit_code
+            else:
+                oriented += 1
+                _print(terminal, entry, found, output)
+            rows.append(_row(entry, found))
+            progress(len(rows), len(entries))
     if output is not None and oriented:
         write_whole(output, _csv(rows))
     raise typer.Exit(exit_code)
