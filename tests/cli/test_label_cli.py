@@ -40,8 +40,7 @@ def test_summits_are_named_where_the_pixels_show_them(run, dem, photo, pose, pea
     done = run("label", photo, "--pose", pose, "--dem", dem, "--peaks", peaks, "-o", out)
     named = json.loads(out.read_text())
     total = peaks.read_text().count("\n") - 1
-    seen = f"{out}: {len(named)} of {total} peaks are seen; hidden or outside the photo: "
-    assert done.out.startswith(seen)
+    assert done.out.startswith(f"{out}: {len(named)} of {total} peaks are seen\n")
     assert 3 < len(named) < total
     assert set(named[0]) == {"name", "column_px", "row_px", "distance_m", "elevation_m"}
     terrain = read_dem([dem])
@@ -86,6 +85,26 @@ def test_a_photo_that_does_not_fit_its_place_has_no_names(run, dem, photo, peaks
     assert not out.exists()
 
 
+def test_each_peak_that_is_missing_has_its_reason(run, dem, photo, pose, peaks, tmp_path):
+    common = "label", photo, "--pose", pose, "--dem", dem
+    run(*common, "--peaks", peaks, "-o", tmp_path / "names.json").ok()
+    seen = json.loads((tmp_path / "names.json").read_text())[0]["name"]
+    row = next(one for one in peaks.read_text().splitlines() if one.startswith(f"{seen},"))
+    crowd = [row.replace(seen, f"Twin {number}").rstrip(",") for number in range(20)]
+    others = ["Behind,600900,5179500", "Away,500000,5000000"]
+    some = csv_of(tmp_path / "some.csv", [*crowd, *others], "name,easting,northing")
+    shown, *missing = run(*common, "--peaks", some, "-o", tmp_path / "a.png").ok().out.splitlines()
+    assert shown.endswith("20 of 22 peaks are seen")
+    assert [line.partition(":")[0] for line in missing] == [
+        "  no room for a name",
+        "  outside the photo",
+        "  off the elevation model",
+    ]
+    assert missing[0].count("Twin") > 5
+    assert missing[1].endswith("Behind")
+    assert missing[2].endswith("Away")
+
+
 @pytest.mark.parametrize("suffix", [".png", ".jpg", ".svg"])
 def test_pictures_have_the_names(run, dem, photo, pose, peaks, tmp_path, suffix):
     out = tmp_path / f"names{suffix}"
@@ -110,7 +129,7 @@ def test_a_picture_names_the_summits_that_no_font_draws(
     seen = json.loads((tmp_path / "names.json").read_text())[0]["name"]
     renamed = tmp_path / "renamed.csv"
     renamed.write_text(peaks.read_text().replace(f"{seen},", f"{UNDRAWN},"))
-    said = f"; no installed font draws 1 name: {UNDRAWN}; hidden"
+    said = f"\n  no installed font draws 1 name: {UNDRAWN}\n"
     assert said in run(*common, "--peaks", renamed, "-o", tmp_path / "a.svg").ok().out
     assert UNDRAWN not in (tmp_path / "a.svg").read_text()
     install_font("Tiny", UNDRAWN)
