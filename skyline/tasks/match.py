@@ -46,6 +46,11 @@ UNREFINED = "unrefined"
 T = TypeVar("T")
 
 
+def matcher_names() -> list[str]:
+    """Return the names of all matchers, those of other packages too."""
+    return [*names_of(MATCHERS), UNREFINED]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MatchTask:
     """Photos to find, stores to search, and files to write."""
@@ -105,7 +110,7 @@ class MatchTask:
 
         Raises `InputError` for options that do not suit each other, and for wrong outputs.
         """
-        entry_named("matcher", self.matcher, dict.fromkeys([*names_of(MATCHERS), UNREFINED]))
+        entry_named("matcher", self.matcher, dict.fromkeys(matcher_names()))
         names_stores = ", ".join(map(str, self.stores))
         no_refinement = f"leave --matcher {UNREFINED} out"
         for is_wrong, error in (
@@ -129,9 +134,9 @@ class MatchTask:
         ):
             if is_wrong:
                 raise InputError(error)
-        self._check_files()
+        self.check_files()
 
-    def _check_files(self) -> None:
+    def check_files(self) -> None:
         """Check the outputs.
 
         Raises `InputError` for outputs that would replace inputs, or whose kind is not known.
