@@ -123,13 +123,20 @@ def _files_in(paths: Iterable[Path]) -> Iterator[Path]:
 def _names_on_input() -> list[Path]:
     """Return the names of files on standard input, one a line, as `find` prints them.
 
-    There are none unless the first line names a file.
+    There are none in a photo, a list and a trace. Raises `InputError` for empty input, and for
+    names that begin with one of no file.
     """
-    lines = os.fsdecode(read_bytes(STANDARD, _EXPECTED)).split("\n")
+    expected = "expected a photo, or names of files, one a line, a list or a trace"
+    lines = os.fsdecode(read_bytes(STANDARD, expected)).split("\n")
     names = [name for name in (line.removesuffix("\r") for line in lines) if name]
+    if not names:
+        raise InputError(f"standard input is empty; {expected}")
     # A list with the one column `path` is a list, although a file may have this name.
-    is_named = bool(names) and names[0] != "path" and os.path.lexists(names[0])
-    return list(map(Path, names)) if is_named else []
+    if names[0] != "path" and os.path.lexists(names[0]):
+        return list(map(Path, names))
+    if is_table(STANDARD) and names[0] != "path" and not set(",;\t#") & set(names[0]):
+        raise InputError(f"standard input names {names[0][:80]}, which is no file; {expected}")
+    return []
 
 
 def _expanded(path: Path) -> Iterator[Path]:

@@ -121,3 +121,11 @@ def test_the_area_that_a_build_adds_to_a_store_is_said_before(run, dem, tmp_path
     (note,) = built(middle, south, east, north).err.splitlines()
     assert note.startswith(f"{store} covers {west:g},{south:g},{middle:g},{north:g}; {middle:g},")
     assert built(middle, south, east, north).err == ""
+
+
+@pytest.mark.parametrize(
+    ("text", "said"), [("", "standard input is empty"), ("none.jpg\n", "which is no file")]
+)
+def test_input_without_photos_is_refused(run, store, on_input, text, said):
+    on_input(text)
+    assert_refused(run("match", store, "-"), said)
