@@ -215,7 +215,8 @@ class Orientation:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the orientation as ``skyline orient --json`` prints it."""
-        return self.to_row() | {"wander": [] if self.pose is None else list(self.pose.wander)}
+        wander = [] if self.pose is None else list(self.pose.wander)
+        return self.to_row() | {"projection": str(self.skyline.projection), "wander": wander}
 
     def to_dataframe(self) -> Any:
         """Return the orientation as a pandas DataFrame of one row."""

@@ -228,6 +228,7 @@ class MatchResult:
         return {
             "photo": printable(self.name),
             **({"id": printable(self.id)} if self.id else {}),
+            "projection": str(self.skyline.projection),
             "answer": candidates[0] if self.answer is not None else None,
             "answer_within_m": self.within_m,
             "answer_confidence": self.confidence,

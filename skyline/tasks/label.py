@@ -52,7 +52,7 @@ class LabelTask:
     fov_deg: float | None = None
     """By default from the photo."""
     projection: Projection | None = None
-    """By default from the photo."""
+    """By default that of the pose, else of the photo."""
     ridges: bool = False
     """Whether the skyline of the elevation model is drawn, too."""
 
@@ -80,11 +80,13 @@ def label_photo(task: LabelTask, listener: Listener) -> list[str]:
             "--heading and --fov-deg out"
         )
     check_outputs([task.output], [task.photo, *filter(None, [task.pose]), task.peaks])
-    picture = read_photo(task.photo, task.fov_deg, projection=task.projection)
+    record = None if task.pose is None else read_pose(task.pose, task.photo)
+    own = None if record is None else record.projection
+    picture = read_photo(task.photo, task.fov_deg, projection=task.projection or own)
     photo = picture.blank
     noted = None
-    if task.pose is not None:
-        noted = read_pose(task.pose, task.photo, photo.projection)
+    if record is not None:
+        noted = record.pose(photo.projection)
     else:
         photo = read_skyline(task.photo, task.fov_deg, projection=task.projection)
         task.at.place_of(photo, str(task.photo))  # Refused before the DEM is read

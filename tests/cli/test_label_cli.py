@@ -71,6 +71,7 @@ def test_the_pose_that_orient_prints_is_read(run, dem, photo, pose, tmp_path):
     printed = run("orient", photo, "--at", at, "--dem", dem, "--fov-deg", 60, "--json").ok().out
     oriented, places = tmp_path / "oriented.json", tmp_path / "places.npz"
     oriented.write_text(printed)
+    assert json.loads(printed)["projection"] == "perspective"
     common = "pixels", photo, "--dem", dem, "--step", 20, "-o", places
     run(*common, "--pose", oriented).ok()
     with np.load(places) as file:
@@ -168,6 +169,28 @@ def test_a_pose_is_read_as_commands_print_it(run, dem, photo, pose, tmp_path, wr
     found_m, note = distances_m(form)
     np.testing.assert_array_equal(found_m, distances_m(pose)[0])
     assert bool(note) == is_noted
+
+
+def test_a_pose_has_the_projection_of_its_photo(run, dem, photo, pose, peaks, tmp_path):
+    """A candidate has it from its result, as `match --json` prints it."""
+    record = json.loads(pose.read_text()) | {"fov_deg": 120.0}
+    result = {"projection": "fisheye", "answer": record, "candidates": [record]}
+    for name, content in (("plain", record), ("noted", result)):
+        (tmp_path / f"{name}.json").write_text(json.dumps(content))
+
+    def distances_m(name, *options):
+        common = "pixels", photo, "--pose", tmp_path / f"{name}.json", "--dem", dem, "--step", 20
+        run(*common, *options, "-o", tmp_path / "places.npz").ok()
+        with np.load(tmp_path / "places.npz") as file:
+            return file["distance_m"]
+
+    fisheye_m = distances_m("plain", "--projection", "fisheye")
+    np.testing.assert_array_equal(distances_m("noted"), fisheye_m)
+    assert not np.array_equal(distances_m("plain"), fisheye_m, equal_nan=True)
+    label = "label", photo, "--pose", tmp_path / "noted.json", "--dem", dem, "--peaks", peaks
+    run(*label, "-o", tmp_path / "a.json").ok()
+    contradicted = run(*label, "--projection", "cylindrical", "-o", tmp_path / "b.json")
+    assert_refused(contradicted, "whose projection is fisheye")
 
 
 @pytest.mark.parametrize("above_m", [0.0, -4.0])

@@ -67,6 +67,7 @@ def test_a_refusal_is_printed_with_its_photo():
 def test_a_refusal_is_a_record_without_an_answer():
     assert REFUSED.to_dict() == {
         "photo": "c.jpg",
+        "projection": "perspective",
         "seconds": 1.5,
         "refusal": "no place fits",
         "answer": None,
