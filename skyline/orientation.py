@@ -210,7 +210,7 @@ class Orientation:
             return None
         return (
             f"EXIF's compass says {noted.heading_deg:.0f} degrees{NORTHS[noted.is_magnetic]}, "
-            f"{abs(off_deg):.0f} degrees off"
+            f"which is {abs(off_deg):.0f} degrees off"
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -255,8 +255,11 @@ class Orientation:
                 f"fov {pose.fov_deg:.2f} +- {self.fov_sd_deg:.2f} degrees"
             )
             lines.append(
-                f"confidence {self.confidence:.2f} that the heading is right within "
-                f"{RIGHT_DEG:g} degree; the eye is {self.moved_m:.0f} m from the place given, and "
+                f"the heading is right within {RIGHT_DEG:g} degree with confidence "
+                f"{self.confidence:.2f}"
+            )
+            lines.append(
+                f"the eye is {self.moved_m:.0f} m from the place given, and "
                 f"{self.eye_height_m:.0f} m above the ground"
             )
             lines.append(self._compass_in_words or "")
@@ -537,7 +540,7 @@ class Orienter(Releasable):
         """Return the refusal of a heading of too little confidence, or None."""
         if sure >= LEAST_CONFIDENCE:
             return None
-        doubt = f"the heading has confidence {sure:.2f}, {LEAST_CONFIDENCE:.2f} is needed"
+        doubt = f"the heading has a confidence of {sure:.2f}, and {LEAST_CONFIDENCE:.2f} is needed"
         cost = poses.cost
         if len(poses) > 1 and cost[1] - cost[0] < _DOUBTS.named_cost:
             other_deg = (poses.grid_heading_deg[1] + pose.convergence_deg) % 360.0

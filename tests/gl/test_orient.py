@@ -119,7 +119,7 @@ def test_a_compass_is_named_where_it_is_far_off(terrain, queries, off_deg, is_sa
     noted = NotedPlace((place["lon"], place["lat"]), heading_deg=compass_deg, is_magnetic=False)
     found = orient(replace(query.skyline, noted=noted), terrain, **place)
     assert found.heading_off_deg == pytest.approx(-off_deg, abs=0.2)
-    said = f"EXIF's compass says {compass_deg:.0f} degrees, 22 degrees off"
+    said = f"EXIF's compass says {compass_deg:.0f} degrees, which is 22 degrees off"
     assert (said in found.to_text()) is is_said
 
 
