@@ -448,13 +448,14 @@ class Orienter(Releasable):
             elevation_m=standing.elevation_m,
             elevation_sd_m=standing.elevation_sd_m,
         )
-        from_exif = PlacePrior.of_noted(noted, self.frame)
-        if from_exif is None:
+        if noted.heading_deg is None:
             return known
+        # The photo need not note a position: the heading is turned at the known one.
+        turn_deg = self.frame.convergence_deg(easting_m=self._east, northing_m=self._north)
         return replace(
             known,
-            grid_heading_deg=from_exif.grid_heading_deg,
-            heading_sd_deg=from_exif.heading_sd_deg,
+            grid_heading_deg=noted.heading_deg - float(turn_deg),
+            heading_sd_deg=noted_heading_sd_deg(noted),
         )
 
     def _orientation(
