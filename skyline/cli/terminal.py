@@ -18,6 +18,8 @@ from rich.console import Console
 from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
+    ProgressColumn,
+    SpinnerColumn,
     TextColumn,
     TimeElapsedColumn,
     TimeRemainingColumn,
@@ -155,8 +157,8 @@ class Terminal:
     def progress(self, doing: str) -> "Iterator[Progress]":
         """Show "3 of 6" on standard error; yields a function of progress.
 
-        The function takes the done steps and their total. On a terminal a bar appears with the
-        first step. Elsewhere a line every ten seconds says how far the step is.
+        The function takes the done steps and their total. A terminal has a bar. Elsewhere a line
+        every ten seconds says how far the step is.
         """
         with self._shown(doing) as show:
 
@@ -175,12 +177,16 @@ class Terminal:
             with _repeated(course.tell, self._every_s):
                 yield course.step
             return
+        counted = BarColumn(), MofNCompleteColumn(separator=" of ")
+        with self._shown_bar(doing, *counted, TimeElapsedColumn(), TimeRemainingColumn()) as show:
+            yield show
+
+    @contextmanager
+    def _shown_bar(self, doing: str, *columns: ProgressColumn) -> "Iterator[Progress]":
+        """Show a line on the terminal while the block runs; yields a function of progress."""
         bar = ProgressBar(
             TextColumn(doing),
-            BarColumn(),
-            MofNCompleteColumn(separator=" of "),
-            TimeElapsedColumn(),
-            TimeRemainingColumn(),
+            *columns,
             console=Console(stderr=True),
             transient=True,
             # `line` writes results itself: they may go to a file.
@@ -189,16 +195,18 @@ class Terminal:
         with bar:
             self._bar = bar
             try:
-                task = bar.add_task(doing, total=None, visible=False)
-                yield lambda done, total: bar.update(
-                    task, completed=done, total=total, visible=True
-                )
+                task = bar.add_task(doing, total=None)
+                yield lambda done, total: bar.update(task, completed=done, total=total)
             finally:
                 self._bar = None
 
     @contextmanager
     def slow(self, doing: str) -> Iterator[None]:
-        """Print a note on standard error if the block takes long."""
+        """Show on a terminal that the block runs; elsewhere print a note if it takes long."""
+        if sys.stderr.isatty() and not self.is_quiet and self._bar is None:
+            with self._shown_bar(doing, SpinnerColumn(), TimeElapsedColumn()):
+                yield
+            return
         timer = threading.Timer(self._slow_s, self.note, [f"{doing} takes a while ..."])
         timer.daemon = True
         timer.start()

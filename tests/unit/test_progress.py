@@ -9,17 +9,18 @@ from skyline.cli.terminal import Terminal
 
 
 class Log:
-    """A log that says when it has so many lines."""
+    """A log that says when it has some words so many times."""
 
-    def __init__(self, lines=1):
+    def __init__(self, words, times=1):
         self.text = ""
-        self.is_full = threading.Event()
-        self._lines = lines
+        self.has_it = threading.Event()
+        self._words = words
+        self._times = times
 
     def write(self, text):
         self.text += text
-        if self.text.count("\n") >= self._lines:
-            self.is_full.set()
+        if self.text.count(self._words) >= self._times:
+            self.has_it.set()
 
     def flush(self):
         pass
@@ -32,68 +33,70 @@ class Log:
 def log(monkeypatch):
     """Return a function that opens a log for standard error."""
 
-    def opened(lines=1):
-        log = Log(lines)
+    def opened(words, times=1):
+        log = Log(words, times)
         monkeypatch.setattr(sys, "stderr", log)
         return log
 
     return opened
 
 
-def in_log(log, every_s=0.01, steps=((0, 6), (3, 6))):
-    """Return the first line of a log in which a step stays where it is."""
-    opened = log()
-    with Terminal(every_s=every_s).progress("matching photos") as step:
+def says(log, words, steps, times=1):
+    """Return whether a step that stays where it is says some words so many times."""
+    opened = log(words, times)
+    with Terminal(every_s=0.01).progress("matching photos") as step:
         for one in steps:
             step(*one)
-        assert opened.is_full.wait(60.0)
-    return opened.text.splitlines()[0]
+        return opened.has_it.wait(60.0)
 
 
-def test_a_line_says_how_far_a_step_is_while_no_part_of_it_ends(log):
-    line = in_log(log)
-    assert line == "matching photos: 3 of 6, about 0 s left"
+def test_a_line_says_how_far_a_step_is_again_and_again_while_no_part_of_it_ends(log):
+    assert says(log, "matching photos: 3 of 6, about 0 s left\n", [(0, 6), (3, 6)], times=3)
 
 
 def test_the_rest_is_estimated_once_a_part_is_done(log):
-    assert in_log(log, steps=((2, 6),)) == "matching photos: 2 of 6"
+    assert says(log, "matching photos: 2 of 6\n", [(2, 6)])
 
 
-@pytest.mark.parametrize("steps", [(), ((0, 1),)])
-def test_a_step_without_parts_is_named(log, steps):
-    assert in_log(log, steps=steps) == "matching photos takes a while ..."
-
-
-def test_a_step_says_it_again_and_again(log):
-    opened = log(lines=3)
+@pytest.mark.parametrize("steps", [[], [(0, 1)]])
+def test_a_step_without_parts_is_named_once(log, steps):
+    opened = log("takes a while ...\n")
     with Terminal(every_s=0.001).progress("matching photos") as step:
-        step(3, 6)
-        assert opened.is_full.wait(60.0)
-    assert set(opened.text.splitlines()) == {"matching photos: 3 of 6"}
+        for one in steps:
+            step(*one)
+        assert opened.has_it.wait(60.0)
+    assert opened.text == "matching photos takes a while ...\n"
 
 
-def test_a_step_that_has_ended_says_nothing_more(log):
-    opened = log()
-    with Terminal(every_s=0.001).progress("matching photos") as step:
-        step(6, 6)
-        assert not opened.is_full.wait(0.1)
-    assert opened.text == ""
-
-
-def test_a_quiet_command_says_nothing_of_its_progress(log):
-    opened = log()
-    terminal = Terminal(every_s=0.001)
+def quiet(terminal):
     terminal.is_quiet = True
+
+
+@pytest.mark.parametrize(("change", "done"), [(lambda _: None, 6), (quiet, 3)])
+def test_a_step_that_has_ended_or_a_quiet_command_says_nothing(log, change, done):
+    opened = log("matching photos: ")
+    terminal = Terminal(every_s=0.01)
+    change(terminal)
     with terminal.progress("matching photos") as step:
-        step(3, 6)
-        assert not opened.is_full.wait(0.1)
-    assert opened.text == ""
+        step(done, 6)
+        assert not opened.has_it.wait(0.1)
+
+
+def terminal_of(monkeypatch):
+    """Return a terminal whose standard error is one."""
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    monkeypatch.setenv("TERM", "xterm")
+    return Terminal()
+
+
+def test_a_terminal_names_a_step_at_once(monkeypatch, capsys):
+    with terminal_of(monkeypatch).slow("opening a store"):
+        pass
+    assert "opening a store" in capsys.readouterr().err
 
 
 def test_a_terminal_shows_a_bar_and_results_above_it(monkeypatch, capsys):
-    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-    monkeypatch.setenv("TERM", "xterm")
-    terminal = Terminal()
+    terminal = terminal_of(monkeypatch)
     with terminal.progress("matching photos") as step:
         step(3, 6)
         terminal.line("photo.jpg")
