@@ -185,7 +185,8 @@ class Terminal:
     def _shown_bar(self, doing: str, *columns: ProgressColumn) -> "Iterator[Progress]":
         """Show a line on the terminal while the block runs; yields a function of progress."""
         bar = ProgressBar(
-            TextColumn(doing),
+            # A name of a file in it may have brackets and braces.
+            TextColumn("{task.description}", markup=False),
             *columns,
             console=Console(stderr=True),
             transient=True,
@@ -195,7 +196,7 @@ class Terminal:
         with bar:
             self._bar = bar
             try:
-                task = bar.add_task(doing, total=None)
+                task = bar.add_task(printable(doing), total=None)
                 yield lambda done, total: bar.update(task, completed=done, total=total)
             finally:
                 self._bar = None

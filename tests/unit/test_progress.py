@@ -90,9 +90,9 @@ def terminal_of(monkeypatch):
 
 
 def test_a_terminal_names_a_step_at_once(monkeypatch, capsys):
-    with terminal_of(monkeypatch).slow("opening a store"):
+    with terminal_of(monkeypatch).slow("opening a [b] {c}"):
         pass
-    assert "opening a store" in capsys.readouterr().err
+    assert "opening a [b] {c}" in capsys.readouterr().err
 
 
 def test_a_terminal_shows_a_bar_and_results_above_it(monkeypatch, capsys):
