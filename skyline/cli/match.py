@@ -107,7 +107,7 @@ def match(
     entries = list(entries_of(photos, common))
     if workers and any(one.path == STANDARD for one in entries):
         raise InputError(
-            "standard input is read in this process; name a file, or leave --workers out"
+            "a photo on standard input is read in this process; name a file, or leave --workers out"
         )
     task = MatchTask(
         stores=stores,

@@ -123,6 +123,12 @@ def test_the_area_that_a_build_adds_to_a_store_is_said_before(run, dem, tmp_path
     assert built(middle, south, east, north).err == ""
 
 
+def test_workers_do_not_read_a_photo_on_standard_input(run, store, on_input):
+    on_input("# width=160 height=120\ncolumn_px,row_px\n0,40\n159,50\n")
+    refused = run("match", store, "-", "--workers", 2)
+    assert_refused(refused, "on standard input is read in this process")
+
+
 @pytest.mark.parametrize(
     ("text", "said"), [("", "standard input is empty"), ("none.jpg\n", "which is no file")]
 )
