@@ -49,7 +49,8 @@ def match(
         list[Path],
         Argument(
             metavar="PHOTO",
-            help="Photos, folders of them, sky masks (white = sky), CSV traces or lists. A trace "
+            help="Photos, folders of them, sky masks (white = sky), CSV traces or lists, or - for "
+            "the names of photos on standard input. A trace "
             "begins with '# width=W height=H' and has the columns column_px,row_px. More stores of "
             "the same DEM may be named before the photos; all stores are searched as one.",
         ),

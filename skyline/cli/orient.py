@@ -29,7 +29,11 @@ def orient(
     context: typer.Context,
     photo: Annotated[
         list[Path],
-        Argument(metavar="PHOTO", help="Photos, folders of them, sky masks or CSV traces."),
+        Argument(
+            metavar="PHOTO",
+            help="Photos, folders of them, sky masks, CSV traces or lists, or - for the names of "
+            "photos on standard input.",
+        ),
     ],
     dem: Dem,
     at: CameraPosition = None,

@@ -4,6 +4,7 @@ An error is one line; progress is a bar.
 """
 
 import json
+import os
 import signal
 import sys
 import threading
@@ -172,7 +173,7 @@ class Terminal:
     @contextmanager
     def _shown(self, doing: str) -> "Iterator[Progress]":
         """Yield a function that shows progress as a bar, or as notes without a terminal."""
-        if self.is_quiet or not sys.stderr.isatty():
+        if not self._has_bars:
             course = _Course(doing, self.note)
             with _repeated(course.tell, self._every_s):
                 yield course.step
@@ -180,6 +181,11 @@ class Terminal:
         counted = BarColumn(), MofNCompleteColumn(separator=" of ")
         with self._shown_bar(doing, *counted, TimeElapsedColumn(), TimeRemainingColumn()) as show:
             yield show
+
+    @property
+    def _has_bars(self) -> bool:
+        """Whether standard error is a terminal on which lines can be drawn anew."""
+        return not self.is_quiet and sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
 
     @contextmanager
     def _shown_bar(self, doing: str, *columns: ProgressColumn) -> "Iterator[Progress]":
@@ -204,7 +210,7 @@ class Terminal:
     @contextmanager
     def slow(self, doing: str) -> Iterator[None]:
         """Show on a terminal that the block runs; elsewhere print a note if it takes long."""
-        if sys.stderr.isatty() and not self.is_quiet and self._bar is None:
+        if self._has_bars and self._bar is None:
             with self._shown_bar(doing, SpinnerColumn(), TimeElapsedColumn()):
                 yield
             return
