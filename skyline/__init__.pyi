@@ -74,6 +74,7 @@ from .terrain.viewpoints import stand_on as stand_on
 from .view import PixelPlaces as PixelPlaces
 from .view import SeenPeak as SeenPeak
 from .view import Sight as Sight
+from .view import UnseenPeaks as UnseenPeaks
 from .view import Viewer as Viewer
 
 __version__: str

@@ -4,6 +4,7 @@ An entry of a list is one job of a worker, which opens the store once. The answe
 the bit as in one process.
 """
 
+import os
 import re
 import time
 from collections.abc import Hashable, Iterable, Iterator, Sequence
@@ -16,7 +17,7 @@ from typing import Any, cast
 
 from skyline.camera import Projection
 from skyline.errors import InputError, SkylineError
-from skyline.files import REPORT_PAGE, is_own_page, version_of
+from skyline.files import REPORT_PAGE, STANDARD, is_own_page, read_bytes, version_of
 from skyline.match.matcher import Matcher, paths_of
 from skyline.match.prior import Narrowing
 from skyline.match.result import MatchResult
@@ -86,8 +87,9 @@ class Entry:
 def entries_of(paths: Iterable[Path], common: Entry) -> Iterator[Entry]:
     """Yield an entry per photo: files, pictures in folders, rows of lists.
 
-    ``-`` is standard input. A list is a CSV file with a column ``path``, whose paths count from the
-    list's folder. Fields that a row leaves empty are filled from ``common``, except the path.
+    ``-`` is standard input: a photo, a list, or names of files, one a line. A list is a CSV file
+    with a column ``path``, whose paths count from the list's folder. Fields that a row leaves empty
+    are filled from ``common``, except the path.
 
     A path with a wildcard that does not exist stands for the files that it matches. Pictures in a
     folder come in natural order; pictures of reports are left out.
@@ -111,18 +113,45 @@ def entries_of(paths: Iterable[Path], common: Entry) -> Iterator[Entry]:
 
 
 def _files_in(paths: Iterable[Path]) -> Iterator[Path]:
-    """Yield paths, with folders and wildcards replaced by their files."""
+    """Yield paths, with folders, wildcards and standard input's names replaced by files."""
     for path in paths:
-        if path.is_dir():
-            pictures = photos_in(path, lambda folder: is_own_page(folder / REPORT_PAGE))
-            yield from sorted(pictures, key=_in_order)
-        elif not path.exists() and any(mark in path.name for mark in "*?["):
-            some = sorted(path.parent.glob(path.name), key=_in_order)
-            if not some:
-                raise InputError(f"there is no file {path}; check the path of the photos")
-            yield from _files_in(some)
-        else:
-            yield path
+        named = _names_on_input() if str(path) == STANDARD else []
+        for one in named or [path]:
+            yield from _expanded(one)
+
+
+def _names_on_input() -> list[Path]:
+    """Return the names of files on standard input, one a line, as `find` prints them.
+
+    There are none in a photo, a list and a trace. Raises `InputError` for empty input, and for
+    names that begin with one of no file.
+    """
+    expected = "expected a photo, or names of files, one a line, a list or a trace"
+    lines = os.fsdecode(read_bytes(STANDARD, expected)).split("\n")
+    names = [name for name in (line.removesuffix("\r") for line in lines) if name]
+    if not names:
+        raise InputError(f"standard input is empty; {expected}")
+    # A list with the one column `path` is a list, although a file may have this name.
+    if names[0] != "path" and os.path.lexists(names[0]):
+        return list(map(Path, names))
+    if is_table(STANDARD) and names[0] != "path" and not set(",;\t#") & set(names[0]):
+        raise InputError(f"standard input names {names[0][:80]}, which is no file; {expected}")
+    return []
+
+
+def _expanded(path: Path) -> Iterator[Path]:
+    """Yield a path, or the files for which a folder or a wildcard stands."""
+    if path.is_dir():
+        pictures = photos_in(path, lambda folder: is_own_page(folder / REPORT_PAGE))
+        yield from sorted(pictures, key=_in_order)
+    elif not path.exists() and any(mark in path.name for mark in "*?["):
+        some = sorted(path.parent.glob(path.name), key=_in_order)
+        if not some:
+            raise InputError(f"there is no file {path}; check the path of the photos")
+        for one in some:
+            yield from _expanded(one)
+    else:
+        yield path
 
 
 def _in_order(path: Path) -> tuple[list[str | int], str]:

@@ -227,12 +227,13 @@ class Orientation:
             return None
         return (
             f"EXIF's compass says {noted.heading_deg:.0f} degrees{NORTHS[noted.is_magnetic]}, "
-            f"{abs(off_deg):.0f} degrees off"
+            f"which is {abs(off_deg):.0f} degrees off"
         )
 
     def to_dict(self) -> dict[str, Any]:
         """Return the orientation as ``skyline orient --json`` prints it."""
-        return self.to_row() | {"wander": [] if self.pose is None else list(self.pose.wander)}
+        wander = [] if self.pose is None else list(self.pose.wander)
+        return self.to_row() | {"projection": str(self.skyline.projection), "wander": wander}
 
     def to_dataframe(self) -> DataFrame:
         """Return the orientation as a pandas DataFrame of one row."""
@@ -271,8 +272,11 @@ class Orientation:
                 f"fov {pose.fov_deg:.2f} +- {self.fov_sd_deg:.2f} degrees"
             )
             lines.append(
-                f"confidence {self.confidence:.2f} that the heading is right within "
-                f"{RIGHT_DEG:g} degree; the eye is {self.moved_m:.0f} m from the place given, and "
+                f"the heading is right within {RIGHT_DEG:g} degree with confidence "
+                f"{self.confidence:.2f}"
+            )
+            lines.append(
+                f"the eye is {self.moved_m:.0f} m from the place given, and "
                 f"{self.eye_height_m:.0f} m above the ground"
             )
             lines.append(self._compass_in_words or "")
@@ -467,13 +471,14 @@ class Orienter(Closeable):
             elevation_m=standing.elevation_m,
             elevation_sd_m=standing.elevation_sd_m,
         )
-        from_exif = PlacePrior.of_noted(noted, self.frame)
-        if from_exif is None:
+        if noted.heading_deg is None:
             return known
+        # The photo need not note a position: the heading is turned at the known one.
+        turn_deg = self.frame.convergence_deg(easting_m=self._east, northing_m=self._north)
         return replace(
             known,
-            grid_heading_deg=from_exif.grid_heading_deg,
-            heading_sd_deg=from_exif.heading_sd_deg,
+            grid_heading_deg=noted.heading_deg - float(turn_deg),
+            heading_sd_deg=noted_heading_sd_deg(noted),
         )
 
     def _orientation(
@@ -559,7 +564,7 @@ class Orienter(Closeable):
         """Return the refusal of a heading of too little confidence, or None."""
         if sure >= LEAST_CONFIDENCE:
             return None
-        doubt = f"the heading has confidence {sure:.2f}, {LEAST_CONFIDENCE:.2f} is needed"
+        doubt = f"the heading has a confidence of {sure:.2f}, and {LEAST_CONFIDENCE:.2f} is needed"
         cost = poses.cost
         if len(poses) > 1 and cost[1] - cost[0] < _DOUBTS.named_cost:
             other_deg = (poses.grid_heading_deg[1] + pose.convergence_deg) % 360.0

@@ -274,7 +274,7 @@ def height_of_ele(ele: object) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sighting:
-    """A visible peak, as seen from one eye."""
+    """A peak as one eye sees it, or would see it if no terrain hid it."""
 
     name: str
     easting_m: float
@@ -313,42 +313,62 @@ def visible_peaks(
 
     Peaks off the terrain are left out, since the terrain that may hide them is unknown.
     """
-    seen = []
+    aimed = aimed_at(terrain, eye, peaks, curvature)
+    return [one for one in aimed if one is not None and _is_seen(terrain, eye, one, curvature)]
+
+
+def aimed_at(
+    terrain: HeightField, eye: Viewpoints, peaks: Peaks, curvature: Curvature
+) -> list[Sighting | None]:
+    """Return where one eye would see each peak if nothing hid it.
+
+    None stands for a peak off the terrain.
+    """
+    aimed: list[Sighting | None] = []
     for index, name in enumerate(peaks.names):
         summit = _summit(terrain, peaks.easting_m[index], peaks.northing_m[index])
         if summit is None:
+            aimed.append(None)
             continue
         easting_m, northing_m, surface_m = summit
         east_m = easting_m - float(eye.easting_m[0])
         north_m = northing_m - float(eye.northing_m[0])
         distance_m = math.hypot(east_m, north_m)
-        if distance_m <= 2.0 * SUMMIT_RADIUS_M:
-            continue  # The eye stands on this peak.
-        azimuth_rad = math.atan2(east_m, north_m)
         up_m = surface_m - float(eye.eye_elevation_m[0]) - float(curvature.drop_m(distance_m))
-        (highest_deg,) = highest_between_deg(
-            terrain,
-            eye,
-            curvature,
-            np.array([azimuth_rad]),
-            np.array([UNDERFOOT_SAMPLES * terrain.spacing_m]),
-            np.array([distance_m - SUMMIT_RADIUS_M]),
-        )
-        if highest_deg > math.degrees(math.atan2(up_m, distance_m)):
-            continue
-        seen.append(
+        aimed.append(
             Sighting(
                 name=name,
                 easting_m=easting_m,
                 northing_m=northing_m,
                 surface_m=surface_m,
-                azimuth_deg=math.degrees(azimuth_rad) % 360.0,
-                elevation_tan=up_m / distance_m,
+                azimuth_deg=math.degrees(math.atan2(east_m, north_m)) % 360.0,
+                # Of a summit just under the eye no direction is asked.
+                elevation_tan=up_m / max(distance_m, 1.0),
                 distance_m=distance_m,
                 height_m=float(peaks.height_m[index]),
             )
         )
-    return seen
+    return aimed
+
+
+def _is_seen(
+    terrain: HeightField, eye: Viewpoints, sighting: Sighting, curvature: Curvature
+) -> bool:
+    """Return whether no terrain before a peak stands higher.
+
+    A peak on which the eye stands is not seen.
+    """
+    if sighting.distance_m <= 2.0 * SUMMIT_RADIUS_M:
+        return False
+    (highest_deg,) = highest_between_deg(
+        terrain,
+        eye,
+        curvature,
+        np.radians([sighting.azimuth_deg]),
+        np.array([UNDERFOOT_SAMPLES * terrain.spacing_m]),
+        np.array([sighting.distance_m - SUMMIT_RADIUS_M]),
+    )
+    return bool(highest_deg <= math.degrees(math.atan(sighting.elevation_tan)))
 
 
 def most_prominent_first(terrain: HeightField, sightings: Sequence[S]) -> list[S]:

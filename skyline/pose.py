@@ -279,14 +279,15 @@ class NotedPose:
             It needs ``lon``, ``lat``, ``heading_deg`` and ``fov_deg``. Null stands for a value that
             is not known; names that a `NotedPose` does not have are passed over.
         projection : Projection
-            The projection of the photo.
+            The projection of the photo. A record need not have it.
         source : str
             What the record is from, for errors.
 
         Raises
         ------
         InputError
-            The record is no pose, or has values that no camera of the projection has.
+            The record is no pose, is of another projection, or has values that no camera of the
+            projection has.
         """
         if not isinstance(record, Mapping):
             raise InputError(f"{source} has no pose; {EXPECTED_RECORD}")
@@ -309,6 +310,12 @@ class NotedPose:
             raise InputError(f"{source}: the place is {lon:g},{lat:g}; expected degrees (WGS 84)")
         if {"eye_elevation_m", "eye_height_m"} <= given.keys():
             raise InputError(f"{source} has both eye_elevation_m and eye_height_m; give one")
+        own = noted_projection(record, source)
+        if own not in {None, projection}:
+            raise InputError(
+                f"{source} is of a photo whose projection is {own}, and the photo counts as "
+                f"{projection}; leave --projection out, or give a pose of that projection"
+            )
         projection.check_fov_deg(given["fov_deg"])
         if any(wander) and not projection.is_panorama:
             raise InputError(
@@ -316,6 +323,18 @@ class NotedPose:
                 "photo's --projection"
             )
         return cls(**given, wander=wander)
+
+
+def noted_projection(record: Mapping[str, Any], source: str) -> Projection | None:
+    """Return a record's projection; None where it has none.
+
+    Raises `InputError` for a projection that is none.
+    """
+    name = record.get("projection")
+    try:
+        return None if name is None else Projection(name)
+    except InputError as error:
+        raise InputError(f"{source}: {error}") from None
 
 
 def _wander_in(record: Mapping[str, Any], source: str) -> tuple[float, ...]:

@@ -2,23 +2,49 @@
 
 import json
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from skyline.camera import Projection
 from skyline.errors import InputError, printable
 from skyline.files import read_bytes
-from skyline.pose import EXPECTED_RECORD, NotedPose
+from skyline.pose import EXPECTED_RECORD, NotedPose, noted_projection
 from skyline.store.read import is_store
 
 
-def read_pose(path: Path, photo: Path, projection: Projection) -> NotedPose:
+@dataclass(frozen=True, slots=True)
+class PoseRecord:
+    """The record of a photo's pose in a file."""
+
+    path: Path
+    content: Any
+    """Names and values, as of JSON."""
+    doubt: str = ""
+    """Why the pose is not to be trusted; empty where its file does not doubt it."""
+
+    @property
+    def projection(self) -> Projection | None:
+        """The photo's projection; None where the record does not have it.
+
+        Raises `InputError` for a projection that is none.
+        """
+        if not isinstance(self.content, dict):
+            return None
+        return noted_projection(self.content, f"pose {self.path}")
+
+    def pose(self, projection: Projection) -> NotedPose:
+        """Return the pose of a photo of a projection; raises as `NotedPose.from_dict`."""
+        noted = NotedPose.from_dict(self.content, projection, f"pose {self.path}")
+        return replace(noted, doubt=self.doubt)
+
+
+def read_pose(path: Path, photo: Path) -> PoseRecord:
     """Read the pose of a photo from a file.
 
     A file of several photos has the pose in the line that names the photo. Of a match it is the
     answer, else the best candidate. Raises `MissingFileError` where there is no file, and
-    `InputError` where it has no such pose, or values that no camera of the projection has.
+    `InputError` where it has no such pose.
     """
     record = _record_of(_records_in(path), path, photo)
     doubt = ""
@@ -28,13 +54,16 @@ def read_pose(path: Path, photo: Path, projection: Projection) -> NotedPose:
             raise InputError(f"pose {path} is of a match that found no place; give another pose")
         if record.get("answer") is None:
             doubt = f"{path} has no answer, so the best candidate is taken"
+        projection = record.get("projection")
         record = record.get("answer") or candidates[0]
+        if isinstance(record, dict):
+            record = {"projection": projection} | record
     elif isinstance(record, dict) and record.get("refusal"):
         doubt = f"the pose in {path} is not trusted: {printable(str(record['refusal']))}"
     if isinstance(record, dict) and "trusted" in record:
         # An orientation has its eye's elevation, and also the height that follows from it.
         record = {**record, "eye_height_m": None}
-    return replace(NotedPose.from_dict(record, projection, f"pose {path}"), doubt=doubt)
+    return PoseRecord(path, record, doubt)
 
 
 def _records_in(path: Path) -> list[Any]:

@@ -163,7 +163,9 @@ def read_table(
             if not any(cells):
                 continue
             if not header:
-                header = tuple(_column(name, other_names or {}) for name in cells)
+                # Spreadsheets write empty columns at the end.
+                names = cells[: max(k for k, cell in enumerate(cells, start=1) if cell)]
+                header = tuple(_column(name, other_names or {}) for name in names)
                 continue
             if any(cells[len(header) :]):
                 raise InputError(

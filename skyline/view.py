@@ -23,7 +23,14 @@ from skyline.errors import InputError, library, suffix_of
 from skyline.files import write_whole
 from skyline.geodesy.bounds import in_turn
 from skyline.geodesy.earth import Curvature
-from skyline.peaks import Peaks, Sighting, check_on_map, most_prominent_first, visible_peaks
+from skyline.peaks import (
+    Peaks,
+    Sighting,
+    aimed_at,
+    check_on_map,
+    most_prominent_first,
+    visible_peaks,
+)
 from skyline.photo.skyline import PhotoSkyline
 from skyline.pose import NotedPose, Pose
 from skyline.render.context import Closeable, RenderThread
@@ -109,6 +116,18 @@ class SeenPeak(Sighting):
     def doubted(self, confidence: float) -> SeenPeak:
         """Return the peak with the probability that its name is right behind the name."""
         return replace(self, name=f"{self.name} ({100.0 * confidence:.0f} %)")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class UnseenPeaks:
+    """The names of the peaks that a photo does not show, by the reason."""
+
+    hidden: tuple[str, ...]
+    """Terrain stands before them."""
+    outside: tuple[str, ...]
+    """They lie outside the photo."""
+    off_map: tuple[str, ...]
+    """They lie off the elevation model."""
 
 
 def sight_of(pose: Pose, photo: PhotoSkyline, views: Views) -> Sight:
@@ -495,6 +514,29 @@ class Viewer(Closeable):
         return most_prominent_first(
             self.terrain, peaks_in_picture(pose, photo, self._visible(pose))
         )
+
+    def unseen(self, pose: Pose, photo: PhotoSkyline, seen: Sequence[SeenPeak]) -> UnseenPeaks:
+        """Return why a photo does not show the other peaks; raises as `summits`.
+
+        ``seen`` are the summits that it shows.
+        """
+        shown = {(one.name, one.easting_m, one.northing_m) for one in seen}
+        hidden: list[str] = []
+        outside: list[str] = []
+        off_map: list[str] = []
+        peaks = self.peaks
+        aimed = (
+            []
+            if peaks is None
+            else aimed_at(self.terrain, self._standing(pose), peaks, self.curvature)
+        )
+        for name, one in zip(() if peaks is None else peaks.names, aimed, strict=True):
+            if one is None:
+                off_map.append(name)
+            elif (name, one.easting_m, one.northing_m) not in shown:
+                is_inside = peaks_in_picture(pose, photo, [one])
+                (hidden if is_inside else outside).append(name)
+        return UnseenPeaks(hidden=tuple(hidden), outside=tuple(outside), off_map=tuple(off_map))
 
     def sightings(self, pose: Pose) -> list[Sighting]:
         """Return all peaks visible from a pose, as `summits`."""

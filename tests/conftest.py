@@ -1,6 +1,7 @@
 """Fixtures that several kinds of tests share."""
 
 import math
+import os
 import sys
 from dataclasses import dataclass
 from functools import partial
@@ -16,7 +17,7 @@ import skyline_bench.cli
 from skyline import build_places, build_uniform, cli, read_dem, stand_on
 from skyline.cli.terminal import Terminal
 from skyline.match import search
-from skyline.render.context import held_context
+from skyline.render.context import ENVIRONMENT_VARIABLE, held_context
 from skyline.survey import plans
 from skyline.survey.cluster import local_cluster
 
@@ -41,10 +42,12 @@ class Result:
 
 @pytest.fixture(scope="session", autouse=True)
 def cache_of_tests(tmp_path_factory):
-    """Let no test read or write the user's own cache, nor fetch from the user's own source."""
+    """Let no test read or write the user's own cache, nor read the user's own settings."""
     with pytest.MonkeyPatch.context() as patch:
+        for name in [*os.environ]:
+            if name.startswith("SKYLINE_") and name != ENVIRONMENT_VARIABLE:
+                patch.delenv(name)
         patch.setenv("SKYLINE_CACHE", str(tmp_path_factory.mktemp("cache") / "skyline"))
-        patch.delenv("SKYLINE_DEM_SOURCE", raising=False)
         yield
 
 
@@ -110,12 +113,12 @@ def run_main(monkeypatch, capsys):
     # A command's name is its script's, also where pytest was started as a module.
     monkeypatch.setattr(sys.modules["__main__"], "__package__", None)
 
-    def run_command(main, name, *arguments, slow_s=1e6):
+    def run_command(main, name, *arguments, slow_s=1e6, every_s=1e6):
         monkeypatch.setattr("sys.argv", [name, *map(str, arguments)])
         capsys.readouterr()
         with pytest.raises(SystemExit) as stop:
             # How long a command takes here must not change its output.
-            main(terminal=Terminal(slow_s=slow_s))
+            main(terminal=Terminal(slow_s=slow_s, every_s=every_s))
         printed = capsys.readouterr()
         return Result(int(stop.value.code or 0), printed.out, printed.err)
 

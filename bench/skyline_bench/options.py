@@ -1,8 +1,9 @@
 """Options, checks of outputs, and tables that the commands share."""
 
+import io
 import re
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
@@ -10,6 +11,7 @@ from typing import Annotated, Any
 import typer
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
+from rich.measure import Measurement
 from rich.table import Table
 from typer import Argument, CallbackParam, Option
 
@@ -17,7 +19,14 @@ from skyline.errors import InputError
 from skyline_bench.measuring import Row, shown
 from skyline_bench.records import KEPT, READ, WRITTEN, Run, note_files, write_record
 
-_PIPED_WIDTH = 300
+_WIDTH = 100
+"""Columns of the widest table that is printed; a wider one is printed in parts."""
+_MOST_WORDS = 40
+"""Columns of the widest words; longer ones are folded."""
+_ABOUT = {"n", "km2", "queries", "kind", "group", "matcher"}
+"""Columns that each part of a table has: how many of what kind, in which area."""
+_FIRST = 3
+"""Columns at the beginning of a table that may say in words what a row is of."""
 
 
 def read_here(context: typer.Context, param: CallbackParam, value: Any) -> Any:
@@ -127,27 +136,78 @@ def report(
 
 
 def print_rows(rows: Sequence[Row], columns: str | None = None) -> None:
-    """Print rows as a table.
+    """Print rows as a table, or as several that fit 100 columns.
 
     ``columns`` are the keys shown, as ``key`` or ``key=heading``; by default all. Underscores
     become spaces. Bytes are shown as megabytes, and a value with its interval, which rows have as
-    ``key_low`` and ``key_high``.
+    ``key_low`` and ``key_high``. Each part of a wide table has the words at its beginning and the
+    columns of `_ABOUT`.
     """
+    console = Console()
+    wide = min(console.width, _WIDTH) if console.is_terminal else _WIDTH
+    _print(Console(width=wide), rows, columns)
+
+
+def table_text(rows: Sequence[Row], columns: str | None = None) -> str:
+    """Return rows as text, as `print_rows` prints them."""
+    text = io.StringIO()
+    _print(Console(file=text, width=_WIDTH), rows, columns)
+    return "\n".join(line.rstrip() for line in text.getvalue().strip("\n").splitlines())
+
+
+def _print(console: Console, rows: Sequence[Row], columns: str | None) -> None:
+    headings = _headings(rows, columns)
+    repeated = _repeated(rows, headings)
+
+    def width_of(keys: Iterable[str]) -> int:
+        table = _table(rows, {key: headings[key] for key in keys})
+        return Measurement.get(console, console.options.update(max_width=9999), table).maximum
+
+    parts: list[list[str]] = [[]]
+    for key in headings:
+        if key in repeated:
+            continue
+        if parts[-1] and width_of([*repeated, *parts[-1], key]) > console.width:
+            parts.append([])
+        parts[-1].append(key)
+    for part in parts:
+        console.print(_table(rows, {k: headings[k] for k in headings if k in {*repeated, *part}}))
+
+
+def _headings(rows: Sequence[Row], columns: str | None) -> dict[str, str]:
+    """Return the columns to show, with their headings."""
     known = dict.fromkeys(key for row in rows for key in row)
     ends = {f"{key}_{end}" for key in known for end in ("low", "high")}
     asked = columns.split() if columns else [key for key in known if key not in ends]
     headings = {}
     for key, _, heading in (one.partition("=") for one in asked):
         headings[key] = re.sub("bytes$", "MB", heading or key).replace("_", " ")
+    return headings
+
+
+def _repeated(rows: Sequence[Row], headings: Mapping[str, str]) -> list[str]:
+    """Return the columns that say what a row is of: words at its beginning, and `_ABOUT`."""
+    first = list(headings)[:_FIRST]
+    words = max((at for at, key in enumerate(first, start=1) if _is_words(rows, key)), default=0)
+    about = [key for key, name in headings.items() if {key, name} & _ABOUT]
+    return [*dict.fromkeys([*first[:words], *about])]
+
+
+def _is_words(rows: Sequence[Row], key: str) -> bool:
+    return any(isinstance(row.get(key), str) for row in rows)
+
+
+def _table(rows: Sequence[Row], headings: Mapping[str, str]) -> Table:
+    """Return a table of columns, with their headings."""
     table = Table(box=SIMPLE_HEAD)
     for key, heading in headings.items():
-        words = any(isinstance(row.get(key), str) for row in rows)
-        table.add_column(heading, justify="left" if words else "right", no_wrap=True)
+        if _is_words(rows, key):
+            table.add_column(heading, max_width=_MOST_WORDS, overflow="fold")
+        else:
+            table.add_column(heading, justify="right", no_wrap=True)
     for row in rows:
         table.add_row(*(_cell(row, key, heading) for key, heading in headings.items()))
-    console = Console()
-    # A file or a pipe has no width that figures would have to be cut to.
-    (console if console.is_terminal else Console(width=_PIPED_WIDTH)).print(table)
+    return table
 
 
 def _cell(row: Row, key: str, heading: str) -> str:

@@ -97,6 +97,7 @@ def _with_option(
         Option(
             "--quiet",
             "-q",
+            envvar="SKYLINE_QUIET",
             help="Print results and errors only: no progress, notes or warnings.",
             callback=_be_quiet,
             expose_value=False,

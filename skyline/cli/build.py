@@ -25,7 +25,7 @@ from skyline.survey.build import BuildResult, build_store
 from skyline.survey.cluster import runner_of
 from skyline.survey.expected_losses import expected_finds
 from skyline.survey.plans import PlacePlan
-from skyline.tasks.render import advise_to_continue, build_bar
+from skyline.tasks.render import advise_to_continue, build_bar, note_added_area
 
 
 def build(
@@ -60,6 +60,7 @@ def build(
     area = None if bounds is None else parse_bounds(bounds)
     plan = PlacePlan(spacing, area, places, Curvature(refraction_k=refraction_k))
     terrain = read_terrain(terminal, dem, crs)
+    note_added_area(output, plan, terrain, terminal)
     with runner_of(workers) as runner, build_bar(output, "places", terminal) as bar:
         result = build_store(terrain, output, plan, runner, bar)
     terminal.line(built_in_words(result, output, "places"))

@@ -18,6 +18,7 @@ TileSource = Annotated[
         help=f"Source of tiles: {', '.join(SOURCES)}, or an address with {{lat:02d}}, {{lon:03d}}, "
         "{ns}, {ew}: the degrees of a tile's south-west corner without signs, and its hemispheres.",
         show_default=f"${SOURCE_VARIABLE}, else {DEFAULT_SOURCE}",
+        autocompletion=lambda: list(SOURCES),
     ),
 ]
 

@@ -8,7 +8,7 @@ from typer import Option
 from skyline.cli.facts import table_of
 from skyline.cli.options import AsJson, Crs, Dems, parse_position, read_terrain
 from skyline.cli.terminal import Terminal
-from skyline.tasks.explain import explain_skyline
+from skyline.tasks.explain import MEANINGS, explain_skyline
 from skyline.terrain.viewpoints import position_on, stand_on
 
 
@@ -28,4 +28,4 @@ def explain(
     terrain = read_terrain(terminal, dem, crs)
     easting_m, northing_m = position_on(terrain, *position)
     facts = explain_skyline(terrain, stand_on(terrain, easting_m=easting_m, northing_m=northing_m))
-    terminal.result(facts, table_of(facts))
+    terminal.result(facts, table_of(facts, MEANINGS))

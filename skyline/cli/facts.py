@@ -3,11 +3,15 @@
 from collections.abc import Iterator, Mapping
 
 
-def table_of(facts: Mapping[str, object]) -> str:
-    """Return facts as a table, with numbers as options take them."""
+def table_of(facts: Mapping[str, object], meanings: Mapping[str, str] | None = None) -> str:
+    """Return facts as a table, with numbers as options take them.
+
+    ``meanings`` has what numbers say that their names do not.
+    """
     rows = list(_rows(facts))
     width = max(len(name) for name, _ in rows)
-    return "\n".join(f"{name:<{width}}  {text}" for name, text in rows)
+    said = {name: f"  ({words})" for name, words in (meanings or {}).items()}
+    return "\n".join(f"{name:<{width}}  {text}{said.get(name, '')}" for name, text in rows)
 
 
 def _rows(facts: Mapping[str, object], prefix: str = "") -> Iterator[tuple[str, str]]:

@@ -12,7 +12,7 @@ from skyline.cli.terminal import Terminal
 from skyline.errors import InputError
 from skyline.render.context import held_context
 from skyline.store.read import is_store
-from skyline.tasks.describe import describe_store, describe_terrain
+from skyline.tasks.describe import MEANINGS, describe_store, describe_terrain
 
 
 def info(
@@ -40,7 +40,7 @@ def info(
         facts |= describe_store(path[0])
     elif path:
         facts |= describe_terrain(read_terrain(terminal, path, crs))
-    terminal.result(facts, table_of(facts))
+    terminal.result(facts, table_of(facts, MEANINGS.get(str(facts.get("kind")))))
 
 
 def _is_missing_store(path: str) -> bool:

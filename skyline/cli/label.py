@@ -66,4 +66,7 @@ def label(
         projection=projection,
         ridges=ridges,
     )
-    terminal.line(f"{output}: {label_photo(task, terminal)}")
+    seen, *missing = label_photo(task, terminal)
+    terminal.line(f"{output}: {seen}")
+    for line in missing:
+        terminal.line(f"  {line}")

@@ -8,14 +8,16 @@ from typer import Argument, Option
 
 from skyline.batch import entries_of
 from skyline.cli.dem import TileSource
-from skyline.cli.options import DEM_ABOUT, AsJson
+from skyline.cli.options import DEM_ABOUT, DEM_VARIABLE, AsJson
 from skyline.cli.photo_options import (
     CameraHeight,
+    Export,
     FieldOfView,
     Heading,
     HeadingSlack,
     Near,
     PhotoProjection,
+    ReportPeaks,
     SamePlace,
     SearchBounds,
     UseGps,
@@ -46,6 +48,7 @@ def locate(
         Option(
             metavar="DEM",
             help=DEM_ABOUT,
+            envvar=DEM_VARIABLE,
             show_default="tiles are fetched",
         ),
     ] = None,
@@ -53,14 +56,6 @@ def locate(
     report: Annotated[
         Path, Option(metavar="DIR", help="Write a page with pictures and maps.")
     ] = Path("skyline-report"),
-    peaks: Annotated[
-        Path | None,
-        Option(
-            metavar="FILE",
-            help="Peaks to name in the report, and places for --near: GeoJSON, or CSV: "
-            "name,lon,lat[,height_m].",
-        ),
-    ] = None,
     as_json: AsJson = False,
     heading: Heading = None,
     heading_slack: HeadingSlack = None,
@@ -68,6 +63,8 @@ def locate(
     projection: PhotoProjection = None,
     same_place: SamePlace = False,
     use_gps: UseGps = False,
+    export: Export = None,
+    peaks: ReportPeaks = None,
 ) -> None:
     """Find where photos were taken, fetching the elevation of the area.
 
@@ -87,10 +84,12 @@ def locate(
     task = LocateTask(
         entries=list(entries_of(photo, common)),
         common=common,
+        inputs=photo,
         dem=dem or (),
         source=source,
         same_place=same_place,
         report=report,
         peaks=peaks,
+        exports=export or (),
     )
     raise typer.Exit(locate_photos(task, Terminal.of(context, as_json)))

@@ -10,15 +10,18 @@ from skyline.batch import entries_of
 from skyline.cli.options import AsJson, StoreDem, StoreFile, SurfaceFiles, Workers, panel
 from skyline.cli.photo_options import (
     CameraHeight,
+    Export,
     FieldOfView,
     Heading,
     HeadingSlack,
     Near,
     PhotoProjection,
+    ReportPeaks,
     SamePlace,
     SearchBounds,
     UseGps,
     entry_of,
+    files_to_write,
     heading_of,
     is_numbers,
 )
@@ -26,13 +29,17 @@ from skyline.cli.terminal import Terminal
 from skyline.errors import InputError
 from skyline.files import STANDARD
 from skyline.match.matcher import FULL
-from skyline.report.exports import EXPORTS
 from skyline.report.results_file import RESULTS
-from skyline.tasks.match import UNREFINED, MatchTask, match_photos, split_stores
+from skyline.tasks.match import (
+    UNREFINED,
+    MatchTask,
+    match_photos,
+    matcher_names,
+    split_stores,
+)
 
 # Groups of options in the help, after the options that are needed most.
 _search = panel("The search")
-_files = panel("More files to write")
 
 
 def match(
@@ -42,7 +49,8 @@ def match(
         list[Path],
         Argument(
             metavar="PHOTO",
-            help="Photos, folders of them, sky masks (white = sky), CSV traces or lists. A trace "
+            help="Photos, folders of them, sky masks (white = sky), CSV traces or lists, or - for "
+            "the names of photos on standard input. A trace "
             "begins with '# width=W height=H' and has the columns column_px,row_px. More stores of "
             "the same DEM may be named before the photos; all stores are searched as one.",
         ),
@@ -67,26 +75,15 @@ def match(
             metavar="NAME",
             help=f"{FULL}, {UNREFINED}, paper, correlation, or another package's; {UNREFINED} is "
             "faster and less exact.",
+            autocompletion=matcher_names,
         ),
     ] = FULL,
     surface: SurfaceFiles = None,
-    export: Annotated[
-        list[Path] | None,
-        _files(
-            metavar="FILE", help=f"Write the candidates ({', '.join(EXPORTS)}); may be repeated."
-        ),
-    ] = None,
-    peaks: Annotated[
-        Path | None,
-        _files(
-            metavar="FILE",
-            help="Peaks to name in the report, and places for --near: GeoJSON, or CSV: "
-            "name,lon,lat[,height_m].",
-        ),
-    ] = None,
+    export: Export = None,
+    peaks: ReportPeaks = None,
     results: Annotated[
         Path | None,
-        _files(
+        files_to_write(
             metavar="FILE",
             help=f"Write a row for each photo when it is done ({', '.join(RESULTS)}). Photos that "
             "are in the file are not matched again.",
@@ -96,12 +93,8 @@ def match(
 ) -> None:
     """Find where photos were taken and in which direction the camera looked."""
     stores, photos = split_stores(store, photo)
-    if peaks and not report and (near is None or is_numbers(near)):
+    if peaks and _is_asked(context, "peaks") and not report and (near is None or is_numbers(near)):
         raise InputError(f"--peaks {peaks} names peaks in a report; give --report DIR too")
-    if workers and Path(STANDARD) in photos:
-        raise InputError(
-            "standard input is read in this process; name a file, or leave --workers out"
-        )
     common = entry_of(
         fov_deg,
         projection,
@@ -112,9 +105,14 @@ def match(
         use_gps,
         peaks,
     )
+    entries = list(entries_of(photos, common))
+    if workers and any(one.path == STANDARD for one in entries):
+        raise InputError(
+            "a photo on standard input is read in this process; name a file, or leave --workers out"
+        )
     task = MatchTask(
         stores=stores,
-        entries=list(entries_of(photos, common)),
+        entries=entries,
         common=common,
         inputs=photos,
         matcher=matcher,
@@ -128,3 +126,9 @@ def match(
         results=results,
     )
     raise typer.Exit(match_photos(task, Terminal.of(context, as_json)))
+
+
+def _is_asked(context: typer.Context, name: str) -> bool:
+    """Return whether an option is given by its name, and not by the environment alone."""
+    source = context.get_parameter_source(name)
+    return source is not None and source.name != "ENVIRONMENT"

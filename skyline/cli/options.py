@@ -1,6 +1,7 @@
 """Options that several commands have, and readers of their values.
 
-An option has one name and one meaning in all commands.
+An option has one name and one meaning in all commands. Those that a script would repeat are also
+read from the environment: what is known of a photo is not, since it would hold for other photos.
 """
 
 from collections.abc import Callable, Sequence
@@ -51,9 +52,11 @@ StoreDem = Annotated[
         show_default="the files from which the store was built",
     ),
 ]
+DEM_VARIABLE = "SKYLINE_DEM"
+"""The variable of the elevation files where a command names them by an option."""
 Dem = Annotated[
     list[str],
-    Option("--dem", metavar="DEM", help=DEM_ABOUT),
+    Option("--dem", metavar="DEM", help=DEM_ABOUT, envvar=DEM_VARIABLE),
 ]
 Dems = Annotated[
     list[str],
@@ -64,6 +67,7 @@ Workers = Annotated[
     panel("Many processors")(
         "--workers",
         metavar="N|ADDRESS",
+        envvar="SKYLINE_WORKERS",
         help="Spread the work over N processes of this machine, or over the dask cluster whose "
         "scheduler has this address, e.g. tcp://host:8786.",
         show_default="this process",
@@ -74,6 +78,7 @@ SurfaceFiles = Annotated[
     of_terrain(
         "--surface",
         metavar="FILE",
+        envvar="SKYLINE_SURFACE",
         help="A surface or canopy model, which gives the heights of trees and houses: a file, or a "
         "folder or zip of files; may be repeated.",
     ),
@@ -88,7 +93,12 @@ RefractionK = Annotated[
 ]
 Crs = Annotated[
     str | None,
-    of_terrain("--crs", metavar="CRS", help="CRS of a DEM whose files name none, e.g. EPSG:32632."),
+    of_terrain(
+        "--crs",
+        metavar="CRS",
+        help="CRS of a DEM whose files name none, e.g. EPSG:32632.",
+        envvar="SKYLINE_CRS",
+    ),
 ]
 BoundsText = Annotated[
     str | None,
@@ -111,8 +121,12 @@ Spacing = Annotated[
     float | None,
     Option("--spacing", metavar="M", help="Metres between the viewpoints of a uniform grid."),
 ]
+PEAKS_VARIABLE = "SKYLINE_PEAKS"
 PEAKS = Option(
-    "--peaks", metavar="FILE", help="Peaks to name: GeoJSON, or CSV: name,lon,lat[,height_m]."
+    "--peaks",
+    metavar="FILE",
+    help="Peaks to name: GeoJSON, or CSV: name,lon,lat[,height_m].",
+    envvar=PEAKS_VARIABLE,
 )
 
 EyeHeight = Annotated[

@@ -29,7 +29,11 @@ def orient(
     context: typer.Context,
     photo: Annotated[
         list[Path],
-        Argument(metavar="PHOTO", help="Photos, folders of them, sky masks or CSV traces."),
+        Argument(
+            metavar="PHOTO",
+            help="Photos, folders of them, sky masks, CSV traces or lists, or - for the names of "
+            "photos on standard input.",
+        ),
     ],
     dem: Dem,
     at: CameraPosition = None,
@@ -74,14 +78,18 @@ def orient(
     rows: list[dict[str, Any]] = []
     exit_code = 0
     oriented = 0
-    for entry, found in zip(entries, orient_photos(terrain, entries, stood), strict=True):
-        if isinstance(found, SkylineError):
-            terminal.error(str(found))
-            exit_code = found.exit_code
-        else:
-            oriented += 1
-            _print(terminal, entry, found, output)
-        rows.append(_row(entry, found))
+    doing = f"orienting {entries[0].path}" if len(entries) == 1 else "orienting photos"
+    with terminal.progress(doing) as progress:
+        progress(0, len(entries))
+        for entry, found in zip(entries, orient_photos(terrain, entries, stood), strict=True):
+            if isinstance(found, SkylineError):
+                terminal.error(str(found))
+                exit_code = found.exit_code
+            else:
+                oriented += 1
+                _print(terminal, entry, found, output)
+            rows.append(_row(entry, found))
+            progress(len(rows), len(entries))
     if output is not None and oriented:
         write_whole(output, _csv(rows))
     raise typer.Exit(exit_code)

@@ -8,16 +8,21 @@ from typer import Option
 
 from skyline.cli.options import Area, output_option, parse_bounds
 from skyline.cli.terminal import Terminal
-from skyline.fetch.overpass import fetch_peaks
+from skyline.fetch.overpass import DEFAULT_SERVER, fetch_peaks
 
 
 def peaks(
     context: typer.Context,
     bounds: Area,
-    server: Annotated[
-        str, Option(metavar="URL", help="An Overpass server: https://host/api/interpreter.")
-    ],
     output: Annotated[Path, output_option("The GeoJSON to write.")],
+    server: Annotated[
+        str,
+        Option(
+            metavar="URL",
+            help="An Overpass server: https://host/api/interpreter.",
+            envvar="SKYLINE_PEAKS_SERVER",
+        ),
+    ] = DEFAULT_SERVER,
 ) -> None:
     """Fetch the named peaks of an area from OpenStreetMap, for `--peaks`."""
     count = fetch_peaks(parse_bounds(bounds), server, output)

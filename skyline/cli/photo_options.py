@@ -12,10 +12,11 @@ from typer import Argument, Option
 
 from skyline.batch import Entry
 from skyline.camera import Projection
-from skyline.cli.options import panel, parse_bounds
+from skyline.cli.options import PEAKS_VARIABLE, panel, parse_bounds
 from skyline.errors import InputError, numbers_in
 from skyline.match.prior import NOTED_KM, Narrowing
 from skyline.peaks import find_place
+from skyline.report.exports import EXPORTS
 
 _known = panel("The photos")
 
@@ -101,6 +102,25 @@ UseGps = Annotated[
 ]
 SamePlace = Annotated[
     bool, _known("--same-place", help="All photos were taken at one place; find that place.")
+]
+files_to_write = panel("More files to write")
+Export = Annotated[
+    list[Path] | None,
+    files_to_write(
+        "--export",
+        metavar="FILE",
+        help=f"Write the candidates ({', '.join(EXPORTS)}); may be repeated.",
+    ),
+]
+ReportPeaks = Annotated[
+    Path | None,
+    files_to_write(
+        "--peaks",
+        metavar="FILE",
+        help="Peaks to name in the report, and places for --near: GeoJSON, or CSV: "
+        "name,lon,lat[,height_m].",
+        envvar=PEAKS_VARIABLE,
+    ),
 ]
 
 

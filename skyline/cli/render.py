@@ -50,6 +50,7 @@ def render(
         Option(
             metavar="NAME",
             help=f"Let a planner choose the viewpoints: {', '.join(names_of(PLANNERS))}.",
+            autocompletion=lambda: names_of(PLANNERS),
         ),
     ] = None,
     bounds: BoundsText = None,

@@ -4,6 +4,7 @@ An error is one line; progress is a bar.
 """
 
 import json
+import os
 import signal
 import sys
 import threading
@@ -15,7 +16,15 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    ProgressColumn,
+    SpinnerColumn,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 from rich.progress import Progress as ProgressBar
 
 from skyline.errors import printable
@@ -25,7 +34,7 @@ if TYPE_CHECKING:
     from skyline.arrays import Progress
 
 _SLOW_S = 5.0
-_NOTE_EVERY_S = 60.0
+_NOTE_EVERY_S = 10.0
 """Time between notes on how far a step is, where no bar is shown."""
 
 
@@ -36,6 +45,8 @@ class Terminal:
     ----------
     slow_s : float
         Time after which a note names the step that is taking long, seconds.
+    every_s : float
+        Time between notes on how far a step is, where no bar is shown, seconds.
 
     Attributes
     ----------
@@ -45,10 +56,12 @@ class Terminal:
         Whether results are printed as JSON.
     """
 
-    def __init__(self, slow_s: float = _SLOW_S) -> None:
+    def __init__(self, slow_s: float = _SLOW_S, every_s: float = _NOTE_EVERY_S) -> None:
         self.is_quiet = False
         self.as_json = False
         self._slow_s = slow_s
+        self._every_s = every_s
+        self._bar: ProgressBar | None = None
         self._advice = ""
         self._is_kept: Callable[[], bool] = lambda: False
         self._is_interrupted = False
@@ -67,9 +80,14 @@ class Terminal:
     def line(self, text: str) -> None:
         """Print one line to standard output.
 
-        Characters that cannot be shown are escaped.
+        Characters that cannot be shown are escaped. A bar makes room for the line.
         """
+        bar = self._bar
+        if bar is not None:
+            bar.stop()
         typer.echo(printable(text))
+        if bar is not None:
+            bar.start()
 
     def result(self, record: Mapping[str, Any], text: str) -> None:
         """Print a result.
@@ -138,11 +156,10 @@ class Terminal:
 
     @contextmanager
     def progress(self, doing: str) -> "Iterator[Progress]":
-        """Show a bar on standard error; yields a function of progress.
+        """Show "3 of 6" on standard error; yields a function of progress.
 
-        The function takes the done steps and their total. The bar appears with the first step.
-        Without a terminal, a line names a step that takes long, and one a minute says how far it
-        is, and how long the rest takes at the rate since its first step.
+        The function takes the done steps and their total. A terminal has a bar. Elsewhere a line
+        every ten seconds says how far the step is.
         """
         with self._shown(doing) as show:
 
@@ -156,43 +173,47 @@ class Terminal:
     @contextmanager
     def _shown(self, doing: str) -> "Iterator[Progress]":
         """Yield a function that shows progress as a bar, or as notes without a terminal."""
-        if self.is_quiet or not sys.stderr.isatty():
-            with self.slow(doing.partition(",")[0]):
-                yield self._notes_on(doing)
+        if not self._has_bars:
+            course = _Course(doing, self.note)
+            with _repeated(course.tell, self._every_s):
+                yield course.step
             return
+        counted = BarColumn(), MofNCompleteColumn(separator=" of ")
+        with self._shown_bar(doing, *counted, TimeElapsedColumn(), TimeRemainingColumn()) as show:
+            yield show
+
+    @property
+    def _has_bars(self) -> bool:
+        """Whether standard error is a terminal on which lines can be drawn anew."""
+        return not self.is_quiet and sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
+
+    @contextmanager
+    def _shown_bar(self, doing: str, *columns: ProgressColumn) -> "Iterator[Progress]":
+        """Show a line on the terminal while the block runs; yields a function of progress."""
         bar = ProgressBar(
-            TextColumn(doing),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TimeRemainingColumn(),
+            # A name of a file in it may have brackets and braces.
+            TextColumn("{task.description}", markup=False),
+            *columns,
             console=Console(stderr=True),
+            transient=True,
+            # `line` writes results itself: they may go to a file.
+            redirect_stdout=False,
         )
         with bar:
-            task = bar.add_task(doing, total=None, visible=False)
-            yield lambda done, total: bar.update(task, completed=done, total=total, visible=True)
-
-    def _notes_on(self, doing: str) -> "Progress":
-        """Return a function of progress that prints a note a minute.
-
-        The function takes the done steps and their total.
-        """
-        noted_s = time.monotonic()
-        first: tuple[float, int] | None = None
-
-        def note(done: int, total: int) -> None:
-            nonlocal noted_s, first
-            now_s = time.monotonic()
-            started_s, before = first = first or (now_s, done)
-            if now_s - noted_s > _NOTE_EVERY_S and before < done < total:
-                noted_s = now_s
-                left_min = (now_s - started_s) * (total - done) / (done - before) / 60.0
-                self.note(f"{doing}: {done} of {total}, about {left_min:.0f} min left")
-
-        return note
+            self._bar = bar
+            try:
+                task = bar.add_task(printable(doing), total=None)
+                yield lambda done, total: bar.update(task, completed=done, total=total)
+            finally:
+                self._bar = None
 
     @contextmanager
     def slow(self, doing: str) -> Iterator[None]:
-        """Print a note on standard error if the block takes long."""
+        """Show on a terminal that the block runs; elsewhere print a note if it takes long."""
+        if self._has_bars and self._bar is None:
+            with self._shown_bar(doing, SpinnerColumn(), TimeElapsedColumn()):
+                yield
+            return
         timer = threading.Timer(self._slow_s, self.note, [f"{doing} takes a while ..."])
         timer.daemon = True
         timer.start()
@@ -200,6 +221,63 @@ class Terminal:
             yield
         finally:
             timer.cancel()
+
+
+class _Course:
+    """Tells in a log how far a step is.
+
+    A step without progress, or of a single part, is named once.
+    """
+
+    def __init__(self, doing: str, note: Callable[[str], None]) -> None:
+        self._doing = doing
+        self._note = note
+        self._first: tuple[float, int] | None = None
+        self._done = 0
+        self._total = 0
+        self._is_named = False
+
+    def step(self, done: int, total: int) -> None:
+        """Receive the done parts and their total."""
+        self._first = self._first or (time.monotonic(), done)
+        self._done = done
+        self._total = total
+
+    def tell(self) -> None:
+        """Print how far the step is, and how long the rest takes at the rate so far."""
+        if self._first is None or self._total == 1:
+            if not self._is_named:
+                self._note(f"{self._doing.partition(',')[0]} takes a while ...")
+            self._is_named = True
+        elif self._done < self._total:
+            self._note(f"{self._doing}: {self._done} of {self._total}{self._left(*self._first)}")
+
+    def _left(self, started_s: float, before: int) -> str:
+        """Return how long the rest takes, in words; empty before the first part is done."""
+        if self._done == before:
+            return ""
+        passed_s = time.monotonic() - started_s
+        left_s = passed_s * (self._total - self._done) / (self._done - before)
+        left = f"{left_s:.0f} s" if left_s < 90.0 else f"{left_s / 60.0:.0f} min"
+        return f", about {left} left"
+
+
+@contextmanager
+def _repeated(call: Callable[[], None], every_s: float) -> Iterator[None]:
+    """Call a function every so many seconds while the block runs."""
+    ended = threading.Event()
+
+    def repeat() -> None:
+        while not ended.wait(every_s):
+            call()
+
+    thread = threading.Thread(target=repeat, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
 
 
 def print_aside(message: str) -> None:

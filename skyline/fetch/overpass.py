@@ -19,6 +19,9 @@ from skyline.files import GEOJSON, STANDARD, write_whole
 from skyline.geodesy.bounds import Bounds, check_bounds
 from skyline.terrain.raster_files import without_secrets
 
+DEFAULT_SERVER = "https://overpass-api.de/api/interpreter"
+"""The public server of the OpenStreetMap wiki's page Overpass API, free for small areas."""
+
 
 def fetch_peaks(bounds_deg: Bounds, server: str, path: Path, patience: Patience = PATIENT) -> int:
     """Write the named peaks of a box as GeoJSON; return their number.

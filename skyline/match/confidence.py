@@ -48,6 +48,10 @@ ORIENTED = "oriented, 1 degree"
 """Name of the model of headings at a known place, in ``orientation.json``."""
 
 
+_MAY_LACK = frozenset({"warp_deviations"})
+"""Figures that poses may lack: a lens whose distortion is not fitted has no warp."""
+
+
 @dataclass(frozen=True, slots=True)
 class _FigureLimits:
     """Limits within which figures are held.
@@ -97,8 +101,12 @@ class Logistic:
         """Return the model's terms of figures (M,) by name.
 
         They are (M, F (F + 3) / 2): the figures, then their products. Figures are in standard
-        deviations from their means. A missing one counts as its mean.
+        deviations from their means. One of `_MAY_LACK` that is missing counts as its mean. Raises
+        `ValueError` for any other that is missing, which the caller may name otherwise.
         """
+        missing = [name for name in self.names if name not in figures and name not in _MAY_LACK]
+        if missing:
+            raise ValueError(f"the model needs the figures {', '.join(missing)}, which are missing")
         count = len(next(iter(figures.values())))
         unit = np.zeros((count, len(self.names)))
         for column, (name, mean, scale) in enumerate(

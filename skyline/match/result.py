@@ -152,7 +152,7 @@ class MatchResult:
             return None
         return (
             f"{100.0 * share:.0f} % of the skyline may be terrain beyond the edge of the elevation "
-            "model; a model that reaches farther may give another answer"
+            "model. A model that reaches farther may give another answer."
         )
 
     @property
@@ -232,6 +232,7 @@ class MatchResult:
         return {
             "photo": printable(self.name),
             **({"id": printable(self.id)} if self.id else {}),
+            "projection": str(self.skyline.projection),
             "answer": candidates[0] if self.answer is not None else None,
             "answer_within_m": self.within_m,
             "answer_confidence": self.confidence,
@@ -263,15 +264,16 @@ class MatchResult:
         lines = [f"{printable(self.name) or 'photo'} ({self.seconds:.2f} s)"]
         if self.answer is not None:
             sure = _sure_in_words(self.confidence, self.within_m)
-            lines.append(f"the answer is candidate 1{sure}; all candidates, best first:")
+            lines.append(f"the answer is candidate 1{sure}")
         if self.refusal:
             lines.append(f"no answer: {self.refusal}")
+        if self.candidates:
+            lines.append("candidates, best first:")
         for number, one in enumerate(self.candidates, start=1):
             unrefined = "" if one.refined else "  (unrefined)"
             lines.append(f"{number}. {_place(one)}  {_view(one)}  {_quality(one)}{unrefined}")
         if 0 < len(self.candidates) < TOP:
-            count = f"{len(self.candidates)} of {TOP} candidates"
-            lines.append(f"{count}: no other place fitted well enough to be refined to the end")
+            lines.append("no other place fits well enough to be a candidate")
         if self.beyond:
             lines.append(self.beyond)
         if lens is not None:
@@ -392,9 +394,11 @@ class JointResult:
         lines = [f"{len(self.results)} photos of one place ({self.seconds:.2f} s)"]
         if self.answer is not None:
             sure = _sure_in_words(self.confidence, self.within_m)
-            lines.append(f"the answer is place 1{sure}; all places, best first:")
+            lines.append(f"the answer is place 1{sure}")
         if self.refusal:
             lines.append(f"no answer: {self.refusal}")
+        if self.places:
+            lines.append("places, best first:")
         for number, one in enumerate(self.places, start=1):
             lines.append(f"{number}. {_place(one)}  {_quality(one)}")
         for result in self.results:
@@ -498,8 +502,8 @@ def _sure_in_words(confidence: float | None, within_m: float | None) -> str:
 
 
 def _place(one: Pose) -> str:
-    within = "" if one.radius_m is None else f"  within {one.radius_m:.0f} m (68 %)"
-    return f"lat {one.lat:.5f} lon {one.lon:.5f}{within}"
+    radius = "" if one.radius_m is None else f" +- {one.radius_m:.0f} m"
+    return f"lat {one.lat:.5f} lon {one.lon:.5f}{radius}"
 
 
 def _view(one: Pose) -> str:
@@ -512,7 +516,7 @@ def _view(one: Pose) -> str:
 def _quality(one: Pose) -> str:
     if one.confidence is None:
         return f"cost {one.cost:.3g} (the lower, the better it fits)"
-    return f"confidence {one.confidence:.2f} (1 km: {one.confidence_1km:.2f})"
+    return f"confidence {one.confidence:.2f} within 200 m, {one.confidence_1km:.2f} within 1 km"
 
 
 def _skyline_svg(skyline: PhotoSkyline) -> str:

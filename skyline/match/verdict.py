@@ -240,9 +240,8 @@ def _lack_of_confidence(candidates: Sequence[Pose], config: MatchConfig) -> str 
     if best.confidence is None or _sure_within_m(best, config) is not None:
         return None
     return (
-        f"the best place has confidence {best.confidence:.2f}, within 1 km "
-        f"{best.confidence_1km:.2f}; {config.min_confidence:.2f} is needed"
-        + _slope_hint(candidates)
+        f"the best place has a confidence of {best.confidence_1km:.2f} within 1 km, and "
+        f"{config.min_confidence:.2f} is needed" + _slope_hint(candidates)
     )
 
 

@@ -134,7 +134,7 @@ def lens_of(tags: Tags, size_px: tuple[int, int]) -> Lens:
         return Lens(reason="; ".join(against))
     focal = _combined(sources, known)
     if max(size_px) / min(size_px) > MAX_PINHOLE_ASPECT:
-        return Lens(reason=f"{focal.source} left aside: the photo is a panorama or a strip")
+        return Lens(reason=f"{focal.source}, which holds for no panorama or strip")
     width = cropped_width(size_px, frame) / hypot(*frame)
     fov_deg = _fov_deg(width, focal.diagonals)
     source = focal.source
@@ -143,7 +143,7 @@ def lens_of(tags: Tags, size_px: tuple[int, int]) -> Lens:
         fov_deg = min(fov_deg, _FOCAL.narrowest * narrow_deg)
         source += f": {wide_deg:.1f} or {narrow_deg:.1f} degrees"
     if fov_deg < MIN_FOV_DEG:
-        return Lens(reason=f"{source} left aside: {fov_deg:.2g} degrees fit no photo")
+        return Lens(reason=f"{source}: {fov_deg:.2g} degrees, which fit no photo")
     fov_sd_deg = None if focal.sd is None else degrees(focal.sd * sin(radians(fov_deg)))
     widest_deg = _fov_deg(width, focal.diagonals * exp(-2.0 * (focal.sd or 0.0)))
     if is_whole(size_px, frame) or is_unscaled(size_px, frame):
@@ -201,16 +201,16 @@ def _focal_lengths(
         return [film] if film else [], against
     noted_plane = _FocalLength("focal plane", focal_mm * across / hypot(*noted), _FOCAL.plane_sd)
     plane = _readings(noted_plane, zoom, focal_mm)
-    wide = f"EXIF's focal plane would be {max(noted) / across:.1f} mm wide"
+    wide = f"EXIF's focal plane is left aside: it would be {max(noted) / across:.1f} mm wide"
     is_of_file = sorted(noted) == sorted(size_px)
     if not plane:
         against.append("EXIF's focal plane fits no camera")
     elif known is not None and not (
         _agree(plane, (known,)) or _agree(plane, film) or _is_crop(plane, film, known, noted, tags)
     ):
-        against.append(f"{wide}, which that sensor is not")
+        against.append(f"{wide}, and that sensor is not")
     elif known is None and is_of_file and _is_reduced(plane, film, noted):
-        against.append(f"{wide}: the photo was reduced, and its size noted anew")
+        against.append(f"{wide}, as in a photo that a program has reduced")
     else:
         return [source for source in (film, plane) if source], against
     return [film] if film else [], against
@@ -300,7 +300,7 @@ def _without_agreement(sources: Sequence[_Source], known: _FocalLength | None) -
     A photo shows no more than its camera's whole sensor, and may show less.
     """
     if not sources and known is not None:
-        return replace(known, source=f"EXIF's {known.source} alone")
+        return replace(known, source=f"only EXIF's {known.source} gives it")
     readings = [one for source in sources for one in source]
     names = " and its ".join(source[0].source for source in sources)
     is_part = known is not None and min(one.longer_by(known) for one in readings) > _FOCAL.agree_log
@@ -309,14 +309,14 @@ def _without_agreement(sources: Sequence[_Source], known: _FocalLength | None) -
         readings.append(known)
     is_alone = len(sources) == 1 and (known is None or is_part)
     found = _covering(
-        f"EXIF's {names} {'alone' if is_alone else 'contradict one another'}",
+        f"only EXIF's {names} gives it" if is_alone else f"EXIF's {names} contradict each other",
         [one.diagonals for one in readings],
         (readings[0].sd if is_alone else None) or ALONE_SD,
     )
     if known is None or not is_part:
         return found
     sd = max(found.sd or 0.0, 0.5 * found.longer_by(known))
-    return replace(found, source=f"{found.source}, a part of what its {known.source} shows", sd=sd)
+    return replace(found, source=f"{found.source}, and its {known.source} shows more", sd=sd)
 
 
 def _covering(source: str, diagonals: Sequence[float], least_sd: float = ALONE_SD) -> _FocalLength:

@@ -123,13 +123,13 @@ class UnnamedPeaks:
 
     Attributes
     ----------
-    no_room : int
-        Number of peaks whose names would overlap others.
+    no_room : tuple of str
+        Names that would overlap others.
     no_font : tuple of str
         Names that no installed font draws.
     """
 
-    no_room: int = 0
+    no_room: tuple[str, ...] = ()
     no_font: tuple[str, ...] = ()
 
     @property
@@ -137,8 +137,8 @@ class UnnamedPeaks:
         """The number of missing names, to end a sentence; empty for none."""
         words = ""
         if self.no_room:
-            have = "peak has" if self.no_room == 1 else "peaks have"
-            words += f"; {self.no_room} {have} no room for a name"
+            have = "peak has" if len(self.no_room) == 1 else "peaks have"
+            words += f"; {len(self.no_room)} {have} no room for a name"
         if self.no_font:
             names = "name" if len(self.no_font) == 1 else "names"
             words += f"; no installed font draws {len(self.no_font)} {names}"
@@ -154,7 +154,7 @@ class UnnamedPeaks:
         return f"{self.counted}: {some_of(self.no_font)}{advice}"
 
 
-def some_of(names: Sequence[str]) -> str:
-    """Return the first five names and the number of others, in words."""
-    more = f" and {len(names) - 5} more" if len(names) > 5 else ""
-    return ", ".join(names[:5]) + more
+def some_of(names: Sequence[str], most: int = 5) -> str:
+    """Return the first names and the number of others, in words."""
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more

@@ -112,8 +112,9 @@ def draw_match_map(
     _draw_peaks(axis, labels[:most_peaks], area)
     axis.autoscale(False)
     draw_bearings(axis, frame, area)
+    no_room = tuple(label.peak.name for label in labels[most_peaks:])
     title = f"{shown:,} of the store's viewpoints (dots)"
-    title += UnnamedPeaks(max(0, len(labels) - most_peaks), no_font).counted.replace("; ", "\n", 1)
+    title += UnnamedPeaks(no_room, no_font).counted.replace("; ", "\n", 1)
     axis.set_title(title, fontsize=9, loc="left")
     return figure
 

@@ -121,7 +121,9 @@ def _draw_picture(
         width,
         rows=6,
     )
-    unnamed = UnnamedPeaks(len(labels) - len(placed), no_font)
+    drawn = {one.index for one in placed}
+    no_room = tuple(one.peak.name for at, one in enumerate(labels) if at not in drawn)
+    unnamed = UnnamedPeaks(no_room, no_font)
     band = max((_ROW_PX * (1 + place.row) + 10.0 for place in placed), default=0.0)
     foot_px += _ROW_PX if no_font else 0.0
     figure.set_size_inches(width / _DPI, (height + band + foot_px) / _DPI)

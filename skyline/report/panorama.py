@@ -150,13 +150,15 @@ def draw_panorama(view: PanoramaView) -> tuple[Figure, UnnamedPeaks]:
     wide = 1.0 - 2.0 * _LAYOUT.margin_in / _LAYOUT.width_in
     top_in = total_in - _LAYOUT.title_in
     colours = _colours(view)
-    no_room = len(labels)
+    drawn: list[Label[Sighting]] = []
     for row in rows:
         bottom_in = top_in - row.names_in - row.high_in
         axis = figure.add_axes((left, bottom_in / total_in, wide, row.high_in / total_in))
         _draw_row(axis, view, row, colours)
-        no_room -= _draw_names(axis, row)
+        drawn += _draw_names(axis, row)
         top_in = bottom_in - _LAYOUT.scale_in
+    known = set(map(id, drawn))
+    no_room = tuple(label.peak.name for label in labels if id(label) not in known)
     unnamed = UnnamedPeaks(no_room, no_font)
     words = _title(view) + unnamed.counted
     title_pt = _LAYOUT.title_pt
@@ -305,8 +307,8 @@ def _draw_compass(axis: Axes, ends: tuple[float, float]) -> None:
         axis.spines[side].set_visible(False)
 
 
-def _draw_names(axis: Axes, row: _Row) -> int:
-    """Write upright names with lines to summits; return their number."""
+def _draw_names(axis: Axes, row: _Row) -> list[Label[Sighting]]:
+    """Write upright names with lines to summits; return their labels."""
     begin, end = row.ends_deg
     in_a_deg = row.in_a_deg
     placed = place_labels(
@@ -335,7 +337,7 @@ def _draw_names(axis: Axes, row: _Row) -> int:
             **label.style,
         )
     axis.add_collection(LineCollection(leaders, colors="#333333", linewidths=0.45, clip_on=False))
-    return len(placed)
+    return [row.names[place.index][0] for place in placed]
 
 
 def _title(view: PanoramaView) -> str:

@@ -9,6 +9,28 @@ from skyline.store.read import open_store
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.products import model_of
 
+_SIDES = "west, south, east, north"
+MEANINGS = {
+    "DEM": {
+        "spacing_m": "east, north",
+        "bounds_m": _SIDES,
+        "bounds_deg": _SIDES,
+        "height_range_m": "lowest and highest sample",
+        "convergence_deg": "true azimuth minus grid azimuth, in the middle",
+        "filled": "samples in voids that were filled",
+        "hollow": "samples in voids that were left open",
+        "despiked": "samples that were removed as spikes",
+        "undeclared": "samples in voids that the file does not declare",
+        "digest": "of the heights; a store names the digest of its model",
+    },
+    "store": {
+        "bounds_deg": _SIDES,
+        "spacing_m": "least, median and greatest distance of neighbouring places",
+        "dem_digest": "of the heights of its model",
+    },
+}
+"""What facts say, in words, of each kind of file."""
+
 
 def describe_terrain(field: HeightField) -> dict[str, object]:
     """Return facts of an elevation model.

@@ -11,6 +11,19 @@ from skyline.terrain.heightfield import HeightField
 from skyline.terrain.sight_range import share_beyond, sight_range_m
 from skyline.terrain.viewpoints import Viewpoints
 
+MEANINGS = {
+    "width": "columns of a view of 90 degrees",
+    "skyline_depth_m": "least, median and greatest distance of the skyline",
+    "flagged_columns": "share of the skyline at the model's edge or a hole; a larger model may "
+    "change it",
+    "data_reach_m": "distance of the model's farthest sample",
+    "sight_m": "no terrain as high as the model's can be seen beyond this distance",
+    "samples_beyond_sight": "share of the model's samples that lie beyond it",
+    "curvature_bound_px": "greatest error if the Earth's curvature, which is included, were left "
+    "out",
+}
+"""What facts say, in words."""
+
 
 def explain_skyline(terrain: HeightField, eye: Viewpoints) -> dict[str, object]:
     """Return facts of one viewpoint's skyline.

@@ -1,9 +1,10 @@
 """Labelling a photo with the names of its summits."""
 
 import json
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from skyline.arrays import UInt8Array
 from skyline.camera import Projection
@@ -20,10 +21,15 @@ from skyline.tasks.listener import Listener
 from skyline.tasks.orient import CameraAt
 from skyline.terrain.dem import read_dem
 from skyline.terrain.provenance import DemOptions
-from skyline.view import SeenPeak, Viewer
+from skyline.view import SeenPeak, UnseenPeaks, Viewer
+
+if TYPE_CHECKING:
+    from skyline.report.labels import UnnamedPeaks
 
 LABEL_FILES = {".png": "png", ".jpg": "jpeg", ".jpeg": "jpeg", ".svg": "svg", ".json": "json"}
 """Kinds of files by suffix."""
+_MOST_NAMES = 20
+"""Names that a line gives of the peaks that are missing for one reason."""
 _COLUMNS = ("name", "column_px", "row_px", "distance_m", "elevation_m")
 
 
@@ -46,7 +52,7 @@ class LabelTask:
     fov_deg: float | None = None
     """By default from the photo."""
     projection: Projection | None = None
-    """By default from the photo."""
+    """By default that of the pose, else of the photo."""
     ridges: bool = False
     """Whether the skyline of the elevation model is drawn, too."""
 
@@ -60,15 +66,13 @@ class _HeldCamera:
     """Probability that its heading is right; None where that is not doubted."""
 
 
-def label_photo(task: LabelTask, listener: Listener) -> str:
+def label_photo(task: LabelTask, listener: Listener) -> list[str]:
     """Write the names of a photo's summits on a copy of it.
 
-    Returns in words what the copy shows. Raises `InputError` where the file's kind is not known,
-    the photo, the pose or the peaks cannot be read, or the camera's direction is not sure;
-    `OffMapError` for a position off the map.
+    Returns what the copy shows, and why each other peak is missing, in lines. Raises `InputError`
+    where the file's kind is not known, the photo, the pose or the peaks cannot be read, or the
+    camera's direction is not sure; `OffMapError` for a position off the map.
     """
-    from skyline.report.labels import some_of  # noqa: PLC0415  (slow to load)
-
     suffix_of(task.output, LABEL_FILES)
     if task.pose is not None and (task.at != CameraAt() or task.fov_deg is not None):
         raise InputError(
@@ -76,11 +80,13 @@ def label_photo(task: LabelTask, listener: Listener) -> str:
             "--heading and --fov-deg out"
         )
     check_outputs([task.output], [task.photo, *filter(None, [task.pose]), task.peaks])
-    picture = read_photo(task.photo, task.fov_deg, projection=task.projection)
+    record = None if task.pose is None else read_pose(task.pose, task.photo)
+    own = None if record is None else record.projection
+    picture = read_photo(task.photo, task.fov_deg, projection=task.projection or own)
     photo = picture.blank
     noted = None
-    if task.pose is not None:
-        noted = read_pose(task.pose, task.photo, photo.projection)
+    if record is not None:
+        noted = record.pose(photo.projection)
     else:
         photo = read_skyline(task.photo, task.fov_deg, projection=task.projection)
         task.at.place_of(photo, str(task.photo))  # Refused before the DEM is read
@@ -92,9 +98,24 @@ def label_photo(task: LabelTask, listener: Listener) -> str:
         with listener.slow("looking for summits"):
             seen = viewer.summits(camera.pose, photo)
             unnamed = _write(task, picture.rgb, photo, camera, seen, viewer)
-    missing = sorted(set(gazetteer.names) - {one.name for one in seen})
-    hidden = f"; hidden or outside the photo: {some_of(missing)}" if missing else ""
-    return f"{len(seen)} of {len(gazetteer)} peaks are seen{unnamed}{hidden}"
+            unseen = viewer.unseen(camera.pose, photo, seen)
+    return [f"{len(seen)} of {len(gazetteer)} peaks are seen", *_missing(unnamed, unseen)]
+
+
+def _missing(unnamed: "UnnamedPeaks", unseen: UnseenPeaks) -> Iterator[str]:
+    """Yield a line for each reason why names are missing."""
+    from skyline.report.labels import some_of  # noqa: PLC0415  (slow to load)
+
+    for reason, names in (
+        ("no room for a name", unnamed.no_room),
+        ("hidden by terrain", unseen.hidden),
+        ("outside the photo", unseen.outside),
+        ("off the elevation model", unseen.off_map),
+    ):
+        if names:
+            yield f"{reason}: {some_of(names, _MOST_NAMES)}"
+    if unnamed.no_font:
+        yield replace(unnamed, no_room=()).named.removeprefix("; ")
 
 
 def _camera_of(
@@ -141,9 +162,10 @@ def _write(
     camera: _HeldCamera,
     seen: list[SeenPeak],
     viewer: Viewer,
-) -> str:
-    """Write the file; return how many names no font draws, in words."""
-    from skyline.report.overlay import draw_labels  # noqa: PLC0415  (slow to load)
+) -> "UnnamedPeaks":
+    """Write the file; return the peaks in view without their names."""
+    from skyline.report.labels import UnnamedPeaks  # noqa: PLC0415  (slow to load)
+    from skyline.report.overlay import draw_labels  # noqa: PLC0415
 
     kind = LABEL_FILES[suffix_of(task.output, LABEL_FILES)]
     confidence = camera.confidence
@@ -151,10 +173,10 @@ def _write(
         unsure = {} if confidence is None else {"confidence": confidence}
         records = [{name: getattr(one, name) for name in _COLUMNS} | unsure for one in seen]
         write_whole(task.output, json.dumps(records, indent=1) + "\n")
-        return ""
+        return UnnamedPeaks()
     sight = viewer.look(camera.pose, photo) if task.ridges else None
     if confidence is not None:
         seen = [one.doubted(confidence) for one in seen]
     picture, unnamed = draw_labels(photo, rgb, seen, sight, kind)
     write_whole(task.output, picture)
-    return unnamed.named
+    return unnamed

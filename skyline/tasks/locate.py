@@ -12,7 +12,6 @@ from skyline.cache import cached_files, prepare_area
 from skyline.errors import InputError, MissingFileError
 from skyline.location import area_of
 from skyline.match.prior import Narrowing
-from skyline.report.folder import check_report_folder
 from skyline.tasks.listener import Listener
 from skyline.tasks.match import MatchTask, match_photos
 
@@ -25,6 +24,8 @@ class LocateTask:
     """The photos."""
     common: Entry
     """What is known of every photo."""
+    inputs: Sequence[Path] = ()
+    """Files that the user has named as photos: no output replaces them."""
     dem: Sequence[str] = ()
     """Elevation files, or folders of them; by default tiles are fetched."""
     source: str | None = None
@@ -35,6 +36,8 @@ class LocateTask:
     """Folder of a page with pictures and maps."""
     peaks: Path | None = None
     """Gazetteer of the page."""
+    exports: Sequence[Path] = ()
+    """Files of the candidates, as of `MatchTask`."""
 
 
 def locate_photos(task: LocateTask, listener: Listener) -> int:
@@ -45,12 +48,24 @@ def locate_photos(task: LocateTask, listener: Listener) -> int:
     `FetchError` where a server fails.
     """
     if task.dem and task.source:
-        raise InputError("give one of --dem (files at hand) and --source (tiles to fetch)")
+        raise InputError(
+            "give one of --dem (files at hand; also $SKYLINE_DEM) and --source (tiles to fetch)"
+        )
     # These checks come before minutes of work.
     usable = usable_entries(task.entries)
     if task.peaks is not None and not task.peaks.is_file():
         raise MissingFileError(f"{task.peaks} does not exist; expected peaks to name")
-    check_report_folder(task.report)
+    search = MatchTask(
+        stores=(),
+        entries=task.entries,
+        common=task.common,
+        inputs=task.inputs,
+        same_place=task.same_place,
+        report=task.report,
+        peaks=task.peaks,
+        exports=task.exports,
+    )
+    search.check_files()
     area, narrowing = area_of([one.path for one in usable], task.common.narrowing)
     before = cached_files()
     listener.keeps(
@@ -59,14 +74,12 @@ def locate_photos(task: LocateTask, listener: Listener) -> int:
     )
     ready = prepare_area(area, task.dem, task.source, listener.note, listener.progress)
     listener.keeps(f"the area is kept in {ready.folder}")
-    found_in = MatchTask(
+    found_in = replace(
+        search,
         stores=(ready.store,),
         entries=[_within(one, task.common.narrowing, narrowing) for one in task.entries],
         common=replace(task.common, narrowing=narrowing),
         dem=[str(ready.terrain)],
-        same_place=task.same_place,
-        report=task.report,
-        peaks=task.peaks,
     )
     return match_photos(found_in, listener)
 

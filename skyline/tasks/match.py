@@ -6,13 +6,14 @@ has a file of results.
 
 import hashlib
 import time
-from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
 from itertools import takewhile
 from pathlib import Path
 from typing import TypeVar
 
+from skyline.arrays import Progress
 from skyline.batch import Entry, match_here, match_many
 from skyline.errors import (
     InputError,
@@ -43,6 +44,11 @@ UNREFINED = "unrefined"
 """The full matcher without its last step."""
 
 T = TypeVar("T")
+
+
+def matcher_names() -> list[str]:
+    """Return the names of all matchers, those of other packages too."""
+    return [*names_of(MATCHERS), UNREFINED]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -104,7 +110,7 @@ class MatchTask:
 
         Raises `InputError` for options that do not suit each other, and for wrong outputs.
         """
-        entry_named("matcher", self.matcher, dict.fromkeys([*names_of(MATCHERS), UNREFINED]))
+        entry_named("matcher", self.matcher, dict.fromkeys(matcher_names()))
         names_stores = ", ".join(map(str, self.stores))
         no_refinement = f"leave --matcher {UNREFINED} out"
         for is_wrong, error in (
@@ -128,9 +134,9 @@ class MatchTask:
         ):
             if is_wrong:
                 raise InputError(error)
-        self._check_files()
+        self.check_files()
 
-    def _check_files(self) -> None:
+    def check_files(self) -> None:
         """Check the outputs.
 
         Raises `InputError` for outputs that would replace inputs, or whose kind is not known.
@@ -203,7 +209,7 @@ class _Run:
         known = self._matched_before()
         # These checks come before the store is opened, which may take a minute.
         checked, refused = self._attempted(
-            [one for one in task.entries if one not in known], Entry.check
+            "checking photos", [one for one in task.entries if one not in known], Entry.check
         )
         usable = [one for one, _ in checked]
         skylines: list[tuple[Entry, PhotoSkyline]] = []
@@ -211,7 +217,7 @@ class _Run:
             skylines, unread = self._read_together(usable)
             refused = refused | unread
         if not usable:
-            self._show_each(known, refused, iter(()))
+            self._show_each(known, refused, iter(()), lambda *_: None)
             return
         matcher = self._opened()
         gazetteer = None if task.peaks is None else read_peaks(task.peaks, matcher.frame)
@@ -221,11 +227,16 @@ class _Run:
             found = self._match_together(matcher, skylines)
             self.exit_code = InputError.exit_code if refused else 0
         else:
-            with runner_of(task.workers) as runner:
+            doing = f"matching {usable[0].path}" if len(usable) == 1 else "matching photos"
+            with (
+                runner_of(task.workers) as runner,
+                self._listener.progress(doing) as progress,
+            ):
+                progress(0, len(usable))
                 each = match_here(matcher, usable)
                 if runner is not None:
                     each = match_many(runner, task.opening, usable)
-                found = self._show_each(known, refused, each)
+                found = self._show_each(known, refused, each, progress)
         if found:
             self._write(found, matcher, gazetteer, done)
 
@@ -255,7 +266,7 @@ class _Run:
         return {} if others else known
 
     def _attempted(
-        self, entries: Iterable[Entry], attempt: Callable[[Entry], T]
+        self, doing: str, entries: Sequence[Entry], attempt: Callable[[Entry], T]
     ) -> tuple[list[tuple[Entry, T]], dict[Entry, SkylineError]]:
         """Attempt something with photos; return the results and the errors.
 
@@ -263,22 +274,24 @@ class _Run:
         """
         usable: list[tuple[Entry, T]] = []
         refused: dict[Entry, SkylineError] = {}
-        for one in entries:
-            try:
-                usable.append((one, attempt(one)))
-            except SkylineError as error:
-                refused[one] = error
-                self._listener.error(_of_photo(one, error))
+        with self._listener.progress(doing) as progress:
+            for number, one in enumerate(entries):
+                progress(number, len(entries))
+                try:
+                    usable.append((one, attempt(one)))
+                except SkylineError as error:
+                    refused[one] = error
+                    self._listener.error(_of_photo(one, error))
         return usable, refused
 
     def _read_together(
-        self, entries: Iterable[Entry]
+        self, entries: Sequence[Entry]
     ) -> tuple[list[tuple[Entry, PhotoSkyline]], dict[Entry, SkylineError]]:
         """Read photos of one place; otherwise as `_attempted`.
 
         Raises `InputError` for fewer than two photos that can be read.
         """
-        skylines, unread = self._attempted(entries, Entry.read)
+        skylines, unread = self._attempted("reading photos", entries, Entry.read)
         if len(skylines) < 2:
             raise InputError(
                 "--same-place needs two photos or more that can be read, and has "
@@ -310,18 +323,21 @@ class _Run:
         known: Mapping[Entry, str | None],
         refused: Mapping[Entry, SkylineError],
         results: Iterator[MatchResult | SkylineError],
+        progress: Progress,
     ) -> list[MatchResult]:
         """Show the results of all photos in order, as they come.
 
         Returns the results that are not errors.
         """
         found: list[MatchResult] = []
+        tried = 0
+        left = sum(one not in known and one not in refused for one in self._task.entries)
         for one in self._task.entries:
             if one in known:
                 self._show_known(one, known[one])
                 continue
-            with nullcontext() if found else self._listener.slow(f"matching {one.path}"):
-                result = refused.get(one) or next(results)
+            result = refused.get(one) or next(results)
+            tried += one not in refused
             if isinstance(result, SkylineError):
                 self._show_error(one, result, is_tried=one not in refused)
             else:
@@ -329,6 +345,7 @@ class _Run:
                 if self._file is not None:
                     self._file.add(result.to_row(), _photo_of(one))
                 self._show_result(result)
+            progress(tried, left)
         return found
 
     def _match_together(

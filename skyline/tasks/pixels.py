@@ -33,7 +33,7 @@ class PixelsTask:
     step: int = 1
     """Every so many rows and columns are taken."""
     projection: Projection | None = None
-    """By default from the photo."""
+    """By default that of the pose, else of the photo."""
 
 
 def place_pixels(task: PixelsTask, listener: Listener) -> PixelPlaces:
@@ -49,8 +49,9 @@ def place_pixels(task: PixelsTask, listener: Listener) -> PixelPlaces:
         raise InputError(
             f"{task.output} would become a part of the DEM; choose another folder for it"
         )
-    photo = read_photo(task.photo, projection=task.projection).blank
-    noted = read_pose(task.pose, task.photo, photo.projection)
+    record = read_pose(task.pose, task.photo)
+    photo = read_photo(task.photo, projection=task.projection or record.projection).blank
+    noted = record.pose(photo.projection)
     with listener.slow("reading the elevation model"):
         terrain = read_dem(names, DemOptions(crs=task.crs))
     with listener.progress("following rays") as progress, Viewer(terrain) as viewer:

@@ -3,7 +3,7 @@
 The viewpoints are given, on a uniform grid, or planned.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,14 +13,15 @@ from skyline.errors import InputError, suffix_of
 from skyline.files import check_folder, lies_in_any
 from skyline.geodesy.bounds import Bounds
 from skyline.paper.build import build_planned
-from skyline.paper.plan import Plan, PlanConfig
+from skyline.paper.plan import Plan as PaperPlan
+from skyline.paper.plan import PlanConfig
 from skyline.paper.plan_check import Verification
 from skyline.render.horizon import RenderConfig
-from skyline.store.read import parts_folder
+from skyline.store.read import open_store, parts_folder
 from skyline.store.write import check_store_path
-from skyline.survey.build import BuildResult, build_store
+from skyline.survey.build import BuildResult, build_store, finished_store
 from skyline.survey.cluster import runner_of
-from skyline.survey.plans import RenderingPlan
+from skyline.survey.plans import Plan, RenderingPlan
 from skyline.tasks.listener import Listener
 from skyline.terrain.dem import read_dem
 from skyline.terrain.heightfield import HeightField
@@ -135,6 +136,7 @@ def render_store(task: RenderTask, listener: Listener) -> BuildResult:
         plan = RenderingPlan.given(eyes, task.config)
     else:
         plan = RenderingPlan.uniform(terrain, task.spacing_m or 0.0, task.bounds_deg, task.config)
+    note_added_area(task.output, plan, terrain, listener)
     if task.depth_images is not None:
         from skyline.report import paper_pictures  # noqa: PLC0415  (slow to load)
 
@@ -150,7 +152,7 @@ def render_store(task: RenderTask, listener: Listener) -> BuildResult:
 
 def render_planned(
     task: RenderTask, listener: Listener
-) -> tuple[BuildResult, Plan, Verification] | None:
+) -> tuple[BuildResult, PaperPlan, Verification] | None:
     """Let a planner choose a store's viewpoints, and render them.
 
     Returns None if the store is complete already. Raises as `RenderTask.check`, `PlanConfig` and
@@ -183,6 +185,28 @@ def advise_to_continue(store: Path, listener: Listener) -> None:
         "what was built is kept, and the same command continues from there",
         lambda: any(parts_folder(store.resolve()).glob("*/*.h5")),
     )
+
+
+def note_added_area(store: Path, plan: Plan, terrain: HeightField, listener: Listener) -> None:
+    """Say before a build which area it adds to a store of another area.
+
+    Raises `StoreMismatchError` for a store of other settings.
+    """
+    header = plan.header(terrain)
+    if not store.exists() or finished_store(store, header) is not None:
+        return
+    with open_store(store) as opened:
+        held = _area_in_words(opened.header.boxes_deg)
+    listener.note(
+        f"{store} covers {held}; {_area_in_words(header.boxes_deg)} is added to it (for a store of "
+        "that area alone, name another file)"
+    )
+
+
+def _area_in_words(boxes_deg: Sequence[Bounds] | None) -> str:
+    if boxes_deg is None:
+        return "all of the DEM"
+    return " and ".join(",".join(f"{side:g}" for side in box) for box in boxes_deg)
 
 
 @contextmanager

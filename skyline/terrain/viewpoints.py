@@ -15,7 +15,7 @@ from skyline.arrays import BoolArray, Float64Array, Int64Array, Rows, UInt8Array
 from skyline.errors import InputError, OffMapError, printable, swapped_in_words
 from skyline.geodesy.earth import GROUND_M
 from skyline.skylines import HEADINGS
-from skyline.tables import read_table
+from skyline.tables import Table, read_table
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.summits import highest_within, summit_heights_m
 
@@ -306,18 +306,17 @@ def read_viewpoints(
     """Read viewpoints with their labels from a CSV file.
 
     The CSV has a header: ``easting,northing`` in the field's frame or ``lon,lat`` in degrees
-    (WGS 84), and optionally ``eye_height_m`` or ``eye_elevation_m``, and ``id`` or ``name``, which
-    become labels; without either column there are none. ``eye_height_m`` is for rows without a
-    height or an elevation, ``summit_within_m`` (as in `stand_on`) for rows without an elevation.
+    (WGS 84), and optionally ``eye_height_m`` or, in other rows, ``eye_elevation_m``, and ``id`` or
+    ``name``, which become labels; without either column there are none. ``eye_height_m`` is for
+    rows without a height or an elevation, ``summit_within_m`` (as in `stand_on`) for rows without
+    an elevation.
 
     Raises `MissingFileError` or `InputError` where the file does not exist or has no rows, the
-    columns are wrong, or a value is not a number; otherwise as `stand_on`.
+    columns are wrong, a row has both a height and an elevation, or a value is not a number;
+    otherwise as `stand_on`.
     """
     table = read_table(path, _EXPECTED)
     position = table.first_in(*_POSITIONS, expected=_EXPECTED)
-    heights = [name for name in _HEIGHTS if name in table.header]
-    if len(heights) > 1:
-        raise InputError(f"{path} has the columns {' and '.join(heights)}; expected one of them")
     table.refuse_other(*position, *_HEIGHTS, *_LABELS)
     if not table.rows:
         raise InputError(f"{path} has a header but no viewpoints; give one row for each viewpoint")
@@ -330,22 +329,30 @@ def read_viewpoints(
     elif is_on_map(field, *field.frame.from_lonlat(first, second)).all():
         # Read as metres they would lie in the middle of a local frame, unnoticed.
         raise InputError(f"{path} has eastings and northings in degrees; name the columns lon,lat")
-    is_elevation = heights == ["eye_elevation_m"]
-    given_m = np.array(
-        [row.number(heights[0]) if heights and row[heights[0]] else np.nan for row in table.rows]
-    )
-    is_high = np.isfinite(given_m) if is_elevation else np.zeros(len(given_m), dtype=bool)
+    height_m, elevation_m = (_optional(table, name) for name in _HEIGHTS)
+    is_high = np.isfinite(elevation_m)
     if is_high.all():
-        return at_elevation(field, first, second, given_m), labels
+        return at_elevation(field, first, second, elevation_m), labels
     stood = stand_on(
         field,
         easting_m=first,
         northing_m=second,
-        eye_height_m=np.where(np.isnan(given_m) | is_elevation, eye_height_m, given_m),
+        eye_height_m=np.where(np.isnan(height_m), eye_height_m, height_m),
         summit_within_m=summit_within_m,
     )
     if is_high.any():
-        aloft = at_elevation(field, first[is_high], second[is_high], given_m[is_high])
+        aloft = at_elevation(field, first[is_high], second[is_high], elevation_m[is_high])
         for name in ("easting_m", "northing_m", "eye_elevation_m"):
             getattr(stood, name)[is_high] = getattr(aloft, name)
     return stood, labels
+
+
+def _optional(table: Table, column: str) -> Float64Array:
+    """Return the numbers (N,) of a column that may be empty or missing; NaN where it is.
+
+    Raises `InputError` for a row that fills more than one column of `_HEIGHTS`.
+    """
+    for row in table.rows:
+        if all(row[name] for name in _HEIGHTS):
+            raise InputError(f"{row.where} has {' and '.join(_HEIGHTS)}; expected one of them")
+    return np.array([row.number(column) if row[column] else np.nan for row in table.rows])

@@ -38,36 +38,65 @@ def test_short_ones_write_their_rows(run_bench, dem, tmp_path, command, rows, ke
 RESULTS = ROOT / "bench" / "results"
 
 
+def checkout_of(folder):
+    """Make a folder a checkout with the records of this one."""
+    (folder / "bench").mkdir()
+    (folder / "bench" / "results").symlink_to(RESULTS)
+
+
 def test_tables_and_figures_are_made_from_the_records(run_bench, tmp_path):
     readme = (ROOT / "README.md").read_text()
     stale = readme.replace("The place found", "The place\nfound").replace("| tie |", "| adaptive |")
     (tmp_path / "README.md").write_text(re.sub(r"(find )\d+", r"\1 7", stale, count=1))
-    assert "README.md: written" in run_bench("figures", RESULTS, "--output", tmp_path).ok().out
+    checkout_of(tmp_path)
+    assert "README.md: written" in run_bench("figures", "--output", tmp_path).ok().out
     assert (tmp_path / "README.md").read_text().split() == readme.split()
     for name in ("speed-error", "uniform-adaptive"):
         assert "<svg" in (tmp_path / "docs" / f"{name}.svg").read_text()
-    again = run_bench("figures", RESULTS, "--output", tmp_path).ok()
+    again = run_bench("figures", "--output", tmp_path).ok()
     assert again.out == "", "a second run changes nothing"
 
 
 def test_a_page_without_a_sentence_with_figures_is_refused(run_bench, tmp_path):
     readme = (ROOT / "README.md").read_text()
     (tmp_path / "README.md").write_text(readme.replace("The place found", "A place found"))
+    checkout_of(tmp_path)
     assert_refused(
-        run_bench("figures", RESULTS, "--output", tmp_path),
+        run_bench("figures", "--output", tmp_path),
         "README.md has the sentence `The place found is {} m off; its confidence is {}.` 0 times",
     )
 
 
 def test_a_page_with_an_unknown_table_is_refused(run_bench, tmp_path):
     (tmp_path / "README.md").write_text("<!-- figures: none -->\n\n\n<!-- end of figures -->\n")
-    assert_refused(run_bench("figures", RESULTS, "--output", tmp_path), "has the table `none`")
+    checkout_of(tmp_path)
+    assert_refused(run_bench("figures", "--output", tmp_path), "has the table `none`")
 
 
 def test_a_folder_without_records_is_refused(run_bench, tmp_path):
     shutil.copy(ROOT / "README.md", tmp_path)
-    missing = run_bench("figures", tmp_path, "--output", tmp_path)
+    missing = run_bench("figures", "--output", tmp_path)
     assert_refused(missing, "speed_error.json does not exist")
+    assert_refused(run_bench("figures", tmp_path), "has no record of a benchmark")
+
+
+def test_a_folder_of_any_records_is_drawn(run_bench, tmp_path):
+    """Records have any names; those of searches and of speed are drawn as diagrams."""
+    for name in ("placing_davos", "speed_error", "page"):
+        shutil.copy(RESULTS / f"{name}.json", tmp_path / f"my {name}.json")
+    (tmp_path / "other.json").write_text("[]")
+    out = run_bench("figures", tmp_path).ok().out
+    assert out.count(": written") == 3
+    page = (tmp_path / "figures.md").read_text()
+    assert re.findall(r"^## (.*)$", page, re.MULTILINE) == [
+        "my page",
+        "my placing_davos",
+        "my speed_error",
+    ]
+    assert max(map(len, page.split("```text")[1].splitlines())) <= 100
+    for name in ("placing_davos", "speed_error"):
+        assert f"(<my {name}.svg>)" in page
+        assert "<svg" in (tmp_path / f"my {name}.svg").read_text()
 
 
 def test_stability_says_what_fails(run_bench, tmp_path, monkeypatch):

@@ -44,9 +44,18 @@ def test_version_and_help(run):
 
 @pytest.mark.parametrize(
     ("typed", "at", "completed"),
-    [("skyline ma", 1, "match"), ("skyline match --fov-", 2, "--fov-deg")],
+    [
+        ("skyline ma", 1, "match"),
+        ("skyline match --fov-", 2, "--fov-deg"),
+        ("skyline match --matcher un", 3, "unrefined"),
+        ("skyline match --matcher pa", 3, "paper"),
+        ("skyline match --projection cyl", 3, "cylindrical"),
+        ("skyline render --planner lp", 3, "lpov"),
+        ("skyline locate --source cop", 3, "copernicus"),
+        ("skyline dem fetch --source cop", 4, "copernicus"),
+    ],
 )
-def test_a_shell_completes_commands_and_options(run, monkeypatch, typed, at, completed):
+def test_a_shell_completes_commands_options_and_values(run, monkeypatch, typed, at, completed):
     monkeypatch.setenv("COMP_WORDS", typed)
     monkeypatch.setenv("COMP_CWORD", str(at))
     monkeypatch.setenv("_SKYLINE_COMPLETE", "complete_bash")

@@ -143,11 +143,17 @@ def test_after_ctrl_c_it_says_what_is_kept(run, command, tmp_path, monkeypatch, 
 def test_quiet_has_errors_and_answers_alone(run, store, trace, tmp_path, monkeypatch):
     match = "match", store, trace, tmp_path / "none.csv", "--matcher", "unrefined"
     loud = run(*match, slow_s=0.0)
-    quiet = run(*match, "--quiet", slow_s=0.0)
+    quiet = run(*match, "--quiet", slow_s=0.0, every_s=0.0)
     assert quiet.out.splitlines()[1:] == loud.out.splitlines()[1:]
     assert loud.err.count("\n") > 1
     assert quiet.err.startswith("error: ")
     assert quiet.err.count("\n") == 1
+
+
+@pytest.mark.parametrize("name", ["match", "orient"])
+def test_a_batch_says_in_a_log_how_far_it_is(run, command, second, name):
+    done = run(*command(name), second, every_s=0.001).ok()
+    assert "ing photos: 1 of 2, about" in done.err
 
 
 @pytest.mark.parametrize("name", COMMANDS)

@@ -40,8 +40,7 @@ def test_summits_are_named_where_the_pixels_show_them(run, dem, photo, pose, pea
     done = run("label", photo, "--pose", pose, "--dem", dem, "--peaks", peaks, "-o", out)
     named = json.loads(out.read_text())
     total = peaks.read_text().count("\n") - 1
-    seen = f"{out}: {len(named)} of {total} peaks are seen; hidden or outside the photo: "
-    assert done.out.startswith(seen)
+    assert done.out.startswith(f"{out}: {len(named)} of {total} peaks are seen\n")
     assert 3 < len(named) < total
     assert set(named[0]) == {"name", "column_px", "row_px", "distance_m", "elevation_m"}
     terrain = read_dem([dem])
@@ -72,6 +71,7 @@ def test_the_pose_that_orient_prints_is_read(run, dem, photo, pose, tmp_path):
     printed = run("orient", photo, "--at", at, "--dem", dem, "--fov-deg", 60, "--json").ok().out
     oriented, places = tmp_path / "oriented.json", tmp_path / "places.npz"
     oriented.write_text(printed)
+    assert json.loads(printed)["projection"] == "perspective"
     common = "pixels", photo, "--dem", dem, "--step", 20, "-o", places
     run(*common, "--pose", oriented).ok()
     with np.load(places) as file:
@@ -84,6 +84,26 @@ def test_a_photo_that_does_not_fit_its_place_has_no_names(run, dem, photo, peaks
     common = "label", photo, "--dem", dem, "--peaks", peaks, "-o", out
     assert_refused(run(*common, "--at", elsewhere, "--fov-deg", 60))
     assert not out.exists()
+
+
+def test_each_peak_that_is_missing_has_its_reason(run, dem, photo, pose, peaks, tmp_path):
+    common = "label", photo, "--pose", pose, "--dem", dem
+    run(*common, "--peaks", peaks, "-o", tmp_path / "names.json").ok()
+    seen = json.loads((tmp_path / "names.json").read_text())[0]["name"]
+    row = next(one for one in peaks.read_text().splitlines() if one.startswith(f"{seen},"))
+    crowd = [row.replace(seen, f"Twin {number}").rstrip(",") for number in range(20)]
+    others = ["Behind,600900,5179500", "Away,500000,5000000"]
+    some = csv_of(tmp_path / "some.csv", [*crowd, *others], "name,easting,northing")
+    shown, *missing = run(*common, "--peaks", some, "-o", tmp_path / "a.png").ok().out.splitlines()
+    assert shown.endswith("20 of 22 peaks are seen")
+    assert [line.partition(":")[0] for line in missing] == [
+        "  no room for a name",
+        "  outside the photo",
+        "  off the elevation model",
+    ]
+    assert missing[0].count("Twin") > 5
+    assert missing[1].endswith("Behind")
+    assert missing[2].endswith("Away")
 
 
 @pytest.mark.parametrize("suffix", [".png", ".jpg", ".svg"])
@@ -110,7 +130,7 @@ def test_a_picture_names_the_summits_that_no_font_draws(
     seen = json.loads((tmp_path / "names.json").read_text())[0]["name"]
     renamed = tmp_path / "renamed.csv"
     renamed.write_text(peaks.read_text().replace(f"{seen},", f"{UNDRAWN},"))
-    said = f"; no installed font draws 1 name: {UNDRAWN}; hidden"
+    said = f"\n  no installed font draws 1 name: {UNDRAWN}\n"
     assert said in run(*common, "--peaks", renamed, "-o", tmp_path / "a.svg").ok().out
     assert UNDRAWN not in (tmp_path / "a.svg").read_text()
     install_font("Tiny", UNDRAWN)
@@ -149,6 +169,28 @@ def test_a_pose_is_read_as_commands_print_it(run, dem, photo, pose, tmp_path, wr
     found_m, note = distances_m(form)
     np.testing.assert_array_equal(found_m, distances_m(pose)[0])
     assert bool(note) == is_noted
+
+
+def test_a_pose_has_the_projection_of_its_photo(run, dem, photo, pose, peaks, tmp_path):
+    """A candidate has it from its result, as `match --json` prints it."""
+    record = json.loads(pose.read_text()) | {"fov_deg": 120.0}
+    result = {"projection": "fisheye", "answer": record, "candidates": [record]}
+    for name, content in (("plain", record), ("noted", result)):
+        (tmp_path / f"{name}.json").write_text(json.dumps(content))
+
+    def distances_m(name, *options):
+        common = "pixels", photo, "--pose", tmp_path / f"{name}.json", "--dem", dem, "--step", 20
+        run(*common, *options, "-o", tmp_path / "places.npz").ok()
+        with np.load(tmp_path / "places.npz") as file:
+            return file["distance_m"]
+
+    fisheye_m = distances_m("plain", "--projection", "fisheye")
+    np.testing.assert_array_equal(distances_m("noted"), fisheye_m)
+    assert not np.array_equal(distances_m("plain"), fisheye_m, equal_nan=True)
+    label = "label", photo, "--pose", tmp_path / "noted.json", "--dem", dem, "--peaks", peaks
+    run(*label, "-o", tmp_path / "a.json").ok()
+    contradicted = run(*label, "--projection", "cylindrical", "-o", tmp_path / "b.json")
+    assert_refused(contradicted, "whose projection is fisheye")
 
 
 @pytest.mark.parametrize("above_m", [0.0, -4.0])

@@ -47,10 +47,11 @@ def test_a_second_photo_of_an_area_asks_no_server(run, one_degree, tile_server, 
     locate = "locate", one_degree / "photo.jpg", "--near", "alp,1", "--peaks", "places.csv"
     again = run(*locate, "--fov-deg", 60, "--json").ok()
     assert json.loads(again.out)["answer"]
-    quiet = run(*locate, "--fov-deg", 60, "--quiet").ok()
+    quiet = run(*locate, "--fov-deg", 60, "--quiet", "--export", "found.geojson").ok()
     assert quiet.err == ""
     assert quiet.out.endswith("report: skyline-report/index.html\n")
     assert (tmp_path / "skyline-report" / "index.html").exists()
+    assert json.loads((tmp_path / "found.geojson").read_text())["features"]
     found = skyline.locate(one_degree / "photo.jpg", (*PLACE, 1.0), fov_deg=60.0)
     assert abs(found.best.heading_deg - 140.0) < 5.0
     assert not tile_server.requests

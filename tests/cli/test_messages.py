@@ -149,7 +149,6 @@ MISTAKES = [
     # Match
     ("match {renderings} {photo} --matcher paper", "--fov-deg"),
     ("match {store} {renderings}", "are stores; name photos to find in them"),
-    ("match {store} - --workers 2", "standard input is read in this process"),
     ("match {store} {tmp}", "has no pictures"),
     ("match {tmp}/none.h5 {photo} --fov-deg 60", "none.h5"),
     ("match {renderings} {photo} --fov-deg 60", "holds renderings, not places"),

@@ -27,6 +27,7 @@ WRONG = {
     "match {store} {photo} --results new.json": "tasks.match.Matcher",
     "match {store} {photo} --report new.html": "tasks.match.Matcher",
     "locate {photo} --near {at},1 --dem {dem} --report new.pdf": "tasks.locate.prepare_area",
+    "locate {photo} --near {at},1 --dem {dem} --export new.csv": "tasks.locate.prepare_area",
     "panorama {dem} --at {at} -o new.jpg": "panorama.read_terrain",
     "horizon {dem} --at {at} -o new.png": "horizon.read_terrain",
     f"peaks {FETCH} --server http://localhost:9/ -o new.csv": "peaks.Terminal.written",

@@ -119,8 +119,23 @@ def test_a_compass_is_named_where_it_is_far_off(terrain, queries, off_deg, is_sa
     noted = NotedPlace((place["lon"], place["lat"]), heading_deg=compass_deg, is_magnetic=False)
     found = orient(replace(query.skyline, noted=noted), terrain, **place)
     assert found.heading_off_deg == pytest.approx(-off_deg, abs=0.2)
-    said = f"EXIF's compass says {compass_deg:.0f} degrees, 22 degrees off"
+    said = f"EXIF's compass says {compass_deg:.0f} degrees, which is 22 degrees off"
     assert (said in found.to_text()) is is_said
+
+
+def test_a_compass_counts_with_the_photo_s_position_and_without(terrain, queries):
+    """A right compass lowers the cost of the right heading, as it does beside a position."""
+    query = queries[1]
+    place = beside(terrain, query.truth)
+    alone = orient(query.skyline, terrain, **place)
+
+    def cost_of(lonlat):
+        noted = NotedPlace(lonlat, heading_deg=alone.pose.heading_deg, is_magnetic=False)
+        return orient(replace(query.skyline, noted=noted), terrain, **place).pose.cost
+
+    without = cost_of(None)
+    assert without == pytest.approx(cost_of((place["lon"], place["lat"])), abs=1e-3)
+    assert without < alone.pose.cost - 1.0
 
 
 def test_a_pose_that_lacks_confidence_alone_is_likely_from_one_half_on(terrain, queries):

@@ -40,14 +40,14 @@ def test_the_photo_s_own_place_is_compared_with_the_answer():
 
 
 def test_an_answer_is_printed_with_its_photo():
-    lens = Lens(60.3, 5.0, reason="EXIF's 35 mm equivalent alone")
+    lens = Lens(60.3, 5.0, reason="only EXIF's 35 mm equivalent gives it")
     sure = replace(BEST, confidence=0.93, confidence_1km=0.97, refined=True)
     result = MatchResult(skyline_of(lens=lens), (sure,), 1.5, None, 200.0, "a\nb.jpg")
-    first, answer, place, *_, lens_line = result.to_text().splitlines()
+    first, answer, _, place, *_, lens_line = result.to_text().splitlines()
     assert first == r"a\nb.jpg (1.50 s)"
     assert "candidate 1, right within 200 m" in answer
     assert "lat 46.70000 lon 9.80000" in place
-    assert "60.3 degrees, give or take 5; EXIF's 35 mm equivalent alone" in lens_line
+    assert "60.3 degrees, give or take 5; only EXIF's 35 mm equivalent gives it" in lens_line
 
 
 def test_a_candidate_without_a_confidence_is_printed_with_its_cost():
@@ -67,6 +67,7 @@ def test_a_refusal_is_printed_with_its_photo():
 def test_a_refusal_is_a_record_without_an_answer():
     assert REFUSED.to_dict() == {
         "photo": "c.jpg",
+        "projection": "perspective",
         "seconds": 1.5,
         "refusal": "no place fits",
         "answer": None,

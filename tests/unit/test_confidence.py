@@ -48,6 +48,25 @@ def test_a_pose_that_no_search_found_is_judged_by_how_well_it_fits(within_m):
     assert (sure[2:] < 0.75).all()  # Such fits have failed.
 
 
+def test_a_model_is_not_used_without_the_figures_that_it_needs():
+    """A figure that was given another name is missing, and would count as its mean."""
+    model = confidence.models()[confidence.model_name("retrieved", 1000.0)]
+    figures = confidence.retrieved_figures(retrieved([0.0, 9_000.0], [1.0, 2.0]), RAYS)
+    assert set(model.names) == set(figures)
+    figures["score"] = figures.pop("cost")
+    with pytest.raises(ValueError, match="cost"):
+        model.probability(figures)
+
+
+def test_a_lens_without_distortion_has_no_warp_which_counts_as_its_mean():
+    model = confidence.models()[confidence.model_name(confidence.FITTED, 200.0)]
+    figures = confidence.pose_figures(fitted(np.array([0.1])), RAYS)
+    assert "warp_deviations" not in figures
+    mean = dict(zip(model.names, model.mean, strict=True))["warp_deviations"]
+    at_mean = model.probability(figures | {"warp_deviations": np.array([mean])})
+    np.testing.assert_array_equal(model.probability(figures), at_mean)
+
+
 def test_a_narrow_search_divides_the_odds_by_the_square_of_its_extent():
     def log_odds(extent_m):
         found = retrieved([0.0, extent_m], [1.0, 2.0])

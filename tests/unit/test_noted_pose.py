@@ -40,6 +40,14 @@ def test_what_a_record_does_not_have_is_level_and_undistorted():
     )
 
 
+def test_a_record_of_another_projection_is_refused():
+    fisheye = LEAST | {"projection": "fisheye"}
+    assert NotedPose.from_dict(fisheye, Projection.FISHEYE).fov_deg == 60.0
+    for record in (fisheye, LEAST | {"projection": "round"}):
+        with pytest.raises(InputError):
+            NotedPose.from_dict(record, LENS)
+
+
 def test_a_height_counts_from_the_ground_and_an_elevation_from_the_datum(tmp_path):
     terrain = read_dem([write_dem(tmp_path / "dem.tif", fractal(60, 60) + 2000.0)])
     west, south, east, north = terrain.box_deg

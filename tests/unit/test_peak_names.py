@@ -106,7 +106,7 @@ def test_a_title_that_says_all_fits_the_picture():
     eye = stand_on(FIELD, easting_m=612.0, northing_m=1490.0, summit_within_m=None)
     west = PanoramaConfig(270.0, 120.0)
     figure, unnamed = draw_panorama(panorama_view(FIELD, eye, peaks, west, FIELD))
-    assert (unnamed.no_room, len(unnamed.no_font)) == (crowd - 1, crowd)
+    assert (len(unnamed.no_room), len(unnamed.no_font)) == (crowd - 1, crowd)
     (title,) = figure.texts
     for words in (
         "as high as the summit",
@@ -121,8 +121,9 @@ def test_a_title_that_says_all_fits_the_picture():
 
 def test_peaks_without_a_name_in_words():
     assert UnnamedPeaks().named == ""
-    assert UnnamedPeaks(2).named == UnnamedPeaks(2).counted == "; 2 peaks have no room for a name"
-    both = UnnamedPeaks(1, tuple(f"{UNDRAWN} {index}" for index in range(7)))
+    two = UnnamedPeaks(("A", "B"))
+    assert two.named == two.counted == "; 2 peaks have no room for a name"
+    both = UnnamedPeaks(("A",), tuple(f"{UNDRAWN} {index}" for index in range(7)))
     assert both.counted == "; 1 peak has no room for a name; no installed font draws 7 names"
     listed = ", ".join(both.no_font[:5])
     assert both.named == f"{both.counted}: {listed} and 2 more"

@@ -85,6 +85,18 @@ def test_a_viewer_warns_of_peaks_that_are_elsewhere(caplog):
         Viewer(two_cones(0.0), replace(TWO, easting_m=lon, northing_m=lat))
 
 
+def test_a_viewer_says_why_a_photo_does_not_show_a_peak():
+    photo = PhotoSkyline(np.full(90, np.nan), np.zeros(90), 90, 60)
+    places = {"behind": (-860.0, -2000.0), "away": (0.0, 90_000.0)}
+    peaks = named(west=(-860.0, 3030.0), east=(930.0, 2960.0), **places)
+    with Viewer(two_cones(500.0), peaks) as viewer:
+        pose = replace(candidate_at(0.0, -900.0, 0.0), eye_elevation_m=2.0)
+        seen = viewer.summits(pose, photo)
+        assert [one.name for one in seen] == ["west"]
+        unseen = viewer.unseen(pose, photo, seen)
+    assert (unseen.hidden, unseen.outside, unseen.off_map) == (("east",), ("behind",), ("away",))
+
+
 def test_a_viewer_refuses_poses_that_no_camera_has():
     skyline = PhotoSkyline(np.full(90, np.nan), np.zeros(90), 90, 60)
     viewer, pose = Viewer(two_cones(0.0), TWO), candidate_at(0.0, -900.0)

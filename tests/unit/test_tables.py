@@ -12,6 +12,7 @@ import pytest
 from commands import csv_of
 from scenes import field_of
 
+from skyline.errors import InputError
 from skyline.files import write_whole
 from skyline.tables import csv_lines, is_table, read_table
 from skyline.terrain.viewpoints import read_viewpoints
@@ -149,3 +150,22 @@ def test_an_empty_cell_of_viewpoints_is_the_default(tmp_path, column, given, ele
     eyes, _ = read_viewpoints(path, field, eye_height_m=5.0)
     assert eyes.eye_elevation_m.tolist() == elevations_m
     assert eyes.easting_m.tolist() == [80.0, 120.0]
+
+
+def test_a_row_of_viewpoints_has_a_height_or_an_elevation(tmp_path):
+    field = field_of(np.full((9, 9), 100.0))
+    header = "easting,northing,eye_height_m,eye_elevation_m"
+    path = csv_of(tmp_path / "eyes.csv", ["80,-80,30,", "120,-80,,170", "80,-80,,"], header)
+    eyes, _ = read_viewpoints(path, field, eye_height_m=5.0)
+    assert eyes.eye_elevation_m.tolist() == [130.0, 170.0, 105.0]
+    csv_of(path, ["80,-80,30,170"], header)
+    with pytest.raises(InputError):
+        read_viewpoints(path, field)
+
+
+def test_empty_columns_at_the_end_are_no_columns(tmp_path):
+    path = csv_of(tmp_path / "photos.csv", ["a.jpg,60,,", "b.jpg,,,"], "path,fov_deg,,")
+    table = read_table(path, "expected a list")
+    assert table.header == ("path", "fov_deg")
+    table.refuse_other("path", "fov_deg")
+    assert [row["fov_deg"] for row in table.rows] == ["60", ""]

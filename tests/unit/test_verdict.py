@@ -39,7 +39,7 @@ def refusal(rays, found_deg, confidence=None):
 @pytest.mark.parametrize(("found_deg", "named"), [(56.9, True), (63.1, True), (57.8, False)])
 def test_a_field_of_view_that_hardly_fits_is_named(rays, found_deg, named):
     why = refusal(rays, found_deg, confidence=0.1)
-    assert why.startswith("the best place has confidence 0.10, within 1 km 0.10; 0.80 is needed")
+    assert why.startswith("the best place has a confidence of 0.10 within 1 km, and 0.80 is needed")
     hint = f"field of view of {found_deg:.1f} degrees, and {GIVEN_DEG:.1f} was expected"
     assert (hint in why) == ("expected" in why) == named
 

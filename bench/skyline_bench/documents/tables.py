@@ -43,9 +43,9 @@ def speed(results: Results) -> Table:
         FOUR_VIEWS: "**Skyline**, four views of 640 columns",
         _ALL_ROUND: "**Skyline**, all the way round, 720 azimuths",
         PLACE: "**Skyline**, a place: all the way round, 360 azimuths",
-        _EMBREE: "Embree's rays, four views",
+        _EMBREE: "Embree's rays, four views, 15 bisections from the neighbouring columns",
         _DEPTH: "depth images, as the paper draws them",
-        _GRASS: "GRASS `r.horizon`, 720 azimuths",
+        _GRASS: "GRASS `r.horizon`, 720 azimuths; reads its map anew for each viewpoint",
     }
     table = Table()
     for way, row in _measured(results, ways):
