@@ -21,7 +21,7 @@ from skyline.geodesy.earth import Curvature
 from skyline.render.horizon import PanoramaRenderer
 from skyline.sky_view import sky_view_factor
 from skyline.skylines import MAX_WIDTH, Horizons
-from skyline.sun import Interval, day_of, sun_above
+from skyline.sun import Body, Interval, Sky, above, day_of
 from skyline.terrain.dem import Dem, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.surface_model import read_surface
@@ -109,10 +109,30 @@ class LocalHorizons(Rows):
             PyEphem is not installed, the horizon is unknown at some azimuth, one of several places
             is not chosen, or the day is not a date from 1583 to 9998.
         """
+        return self._above(Body.SUN, day, place)
+
+    def moon_above(self, day: date | str, place: int | None = None) -> list[Interval]:
+        """Return when part of the moon's disc, dark or lit, is above one place's horizon.
+
+        Parameters, times and errors as `sun_above`. The day is the sun's.
+        """
+        return self._above(Body.MOON, day, place)
+
+    def sky(self, place: int | None = None) -> Sky:
+        """Return the sky over one place.
+
+        Raises `InputError` if PyEphem is not installed or one of several places is not chosen.
+        """
+        place = self._chosen(place)
+        at = self.lon[place], self.lat[place], self.eye_elevation_m[place]
+        return Sky(*map(float, at))
+
+    def _above(self, body: Body, day: date | str, place: int | None) -> list[Interval]:
         day = day_of(day)
         place = self._chosen(place)
-        return sun_above(
+        return above(
             day,
+            body,
             lon=float(self.lon[place]),
             lat=float(self.lat[place]),
             eye_elevation_m=float(self.eye_elevation_m[place]),

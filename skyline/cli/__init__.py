@@ -26,7 +26,7 @@ COMMANDS = {
     },
     "Views from a position": {
         "horizon": "Give the horizon at positions, by azimuth from true north.",
-        "sun": "Print when the sun is above the mountains on a day.",
+        "sun": "Print when the sun and the moon are above the mountains on a day.",
         "panorama": "Draw the view from a position, with the peaks' names.",
     },
     "Data": {

@@ -151,9 +151,9 @@ def parse_bounds(text: str) -> "Bounds":
     return west, south, east, north
 
 
-def parse_position(text: str) -> tuple[float, float]:
+def parse_position(text: str, option: str = "--at") -> tuple[float, float]:
     """Return longitude and latitude from ``LON,LAT``; raises `InputError` for anything else."""
-    error = f"--at is `{text}`; expected LON,LAT in degrees (WGS 84), e.g. 9.84,46.80"
+    error = f"{option} is `{text}`; expected LON,LAT in degrees (WGS 84), e.g. 9.84,46.80"
     lon, lat = numbers_of(text.split(","), 2, error)
     if not are_degrees(lon, lat):
         swapped = f"; {swapped_in_words(lon, lat)}" if are_degrees(lat, lon) else ""

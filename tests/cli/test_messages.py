@@ -276,6 +276,9 @@ MISTAKES = [
     ("horizon {tmp}/no.tif --at 9,46 --step-deg 7", "a divisor of 360"),
     ("sun {dem} --at {at} --date 21.6.", "expected a day such as"),
     ("sun {dem} --at {at} --date 0001-01-01", "expected a day such as"),
+    ("sun {dem} --at {at} --date 2026-06-21 --over 46", "--over is `46`; expected LON,LAT"),
+    ("sun {dem} --at {at} --date 2026-06-21 --over 0,0", "a DEM that reaches to it"),
+    ("sun {dem} --at {at} --date 2026-06-21 --within 0", "expected kilometres above 0"),
     ("panorama {dem} --at {at} -o {tmp}/p.svg --fov-deg 2", "expected a field of view of 5 to 360"),
     ("panorama {dem} --at {at} -o {tmp}/p.svg --peaks {photo}", "cannot be read"),
     # Outputs of another format
