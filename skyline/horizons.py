@@ -7,7 +7,7 @@ import io
 import logging
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import date
 from numbers import Real
 from typing import Any
@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from skyline.arrays import Float32Array, Float64Array, Progress, Rows, UInt8Array
 from skyline.errors import InputError, library
+from skyline.geodesy.bounds import in_turn
 from skyline.geodesy.earth import Curvature
 from skyline.render.horizon import PanoramaRenderer
 from skyline.sky_view import sky_view_factor
@@ -267,6 +268,39 @@ class LocalHorizons(Rows):
                 "azimuth_deg": ("azimuth_deg", self.azimuth_deg[0], true_north),
             },
         )
+
+
+def with_photo(
+    horizons: LocalHorizons, azimuth_deg: Float64Array, elevation_deg: Float64Array
+) -> tuple[LocalHorizons, float]:
+    """Return one place's horizon with a photo's skyline in it, and the photo's share of the turn.
+
+    Parameters
+    ----------
+    horizons : LocalHorizons
+        One place.
+    azimuth_deg, elevation_deg : (N,) float64
+        The photo's skyline, from true north. Azimuths within half a step of a point of it, or of a
+        gap between two columns, have its elevation and no distance; the others keep the horizon
+        that they have.
+    """
+    order = np.argsort(azimuth_deg % 360.0)
+    known_deg, up_deg = azimuth_deg[order] % 360.0, elevation_deg[order]
+    at_deg = horizons.azimuth_deg[0]
+    after = np.searchsorted(known_deg, at_deg) % len(known_deg)
+    nearest_deg = np.minimum(
+        np.abs(in_turn(known_deg[after] - at_deg)), np.abs(in_turn(known_deg[after - 1] - at_deg))
+    )
+    reach_deg = max(180.0 / len(at_deg), 2.0 * float(np.median(np.diff(known_deg, append=360.0))))
+    is_seen = nearest_deg <= reach_deg
+    seen_deg = np.interp(at_deg, known_deg, up_deg, period=360.0)
+    joined = replace(
+        horizons,
+        elevation_deg=np.where(is_seen, seen_deg, horizons.elevation_deg).astype(np.float32),
+        distance_m=np.where(is_seen, np.float32(np.nan), horizons.distance_m),
+        flags=np.where(is_seen, np.uint8(0), horizons.flags),
+    )
+    return joined, float(is_seen.mean())
 
 
 def horizon(  # noqa: PLR0913  (independent conditions)
