@@ -251,7 +251,8 @@ class Viewer(Releasable):
     peaks : Peaks, optional
         Names of summits.
     curvature : Curvature, optional
-        Defaults to the Earth's with k = 0.13. A store's header has the curvature of its matcher.
+        Defaults to `Frame.curvature`: the Earth's with k = 0.13. A store's header has the curvature
+        of its matcher.
     render_thread : RenderThread, optional
         A thread that renders, so that any thread may call, with priority over a matcher that
         renders there too. Without one only the thread that first calls `look` may call it.
@@ -270,7 +271,7 @@ class Viewer(Releasable):
         self.frame = self.terrain.frame
         if peaks is not None:
             check_on_map(peaks, self.terrain)
-        self.curvature = curvature or Curvature()
+        self.curvature = curvature or self.frame.curvature
         self._thread = render_thread
         self._making = Lock()
         self._scene: RenderedScene | None = None

@@ -13,6 +13,7 @@ from skyline.cli.options import (
     RefractionK,
     SummitWithin,
     SurfaceFiles,
+    curvature_of,
     output_option,
     parse_position,
     read_terrain,
@@ -21,7 +22,6 @@ from skyline.cli.photo_options import POSE, PhotoProjection
 from skyline.cli.terminal import Terminal
 from skyline.errors import InputError
 from skyline.files import STANDARD, check_outputs
-from skyline.geodesy.earth import DEFAULT_REFRACTION_K, Curvature
 from skyline.horizons import DEFAULT_STEP_DEG, horizons_of, steps_a_turn
 from skyline.report.horizon_files import horizon_csv, kind_of_horizons, write_horizons
 from skyline.tasks.photo_horizon import PhotoHorizonTask, photo_horizon
@@ -68,7 +68,7 @@ def horizon(
     ] = None,
     pose: Annotated[Path | None, POSE] = None,
     projection: PhotoProjection = None,
-    refraction_k: RefractionK = DEFAULT_REFRACTION_K,
+    refraction_k: RefractionK = None,
     crs: Crs = None,
 ) -> None:
     """Give the horizon at positions, by azimuth from true north.
@@ -90,9 +90,9 @@ def horizon(
     if output is not None and output != Path(STANDARD):
         kind_of_horizons(output)
     steps_a_turn(step_deg)  # Refused before the DEM is read
-    curvature = Curvature(refraction_k=refraction_k)
     positions = [parse_position(text) for text in at or ()]
     terrain = read_terrain(terminal, dem, crs)
+    curvature = curvature_of(terrain, refraction_k)
     if photo is not None and pose is not None:
         task = PhotoHorizonTask(
             photo=photo, pose=pose, step_deg=step_deg, curvature=curvature, projection=projection

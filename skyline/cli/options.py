@@ -4,6 +4,7 @@ An option has one name and one meaning in all commands.
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -13,6 +14,7 @@ from typer import Argument, Option
 from skyline.cli.terminal import Terminal
 from skyline.errors import InputError, numbers_of, swapped_in_words
 from skyline.geodesy.bounds import are_degrees
+from skyline.geodesy.earth import DEFAULT_REFRACTION_K, Curvature
 
 if TYPE_CHECKING:
     from skyline.geodesy.bounds import Bounds
@@ -79,11 +81,12 @@ SurfaceFiles = Annotated[
     ),
 ]
 RefractionK = Annotated[
-    float,
+    float | None,
     of_terrain(
         "--refraction-k",
         metavar="K",
         help="Refraction coefficient: the share of the Earth's curvature that refraction undoes.",
+        show_default=f"{DEFAULT_REFRACTION_K:g}, and 0 on other worlds",
     ),
 ]
 Crs = Annotated[
@@ -139,6 +142,12 @@ def read_terrain(terminal: Terminal, dem: Sequence[str], crs: str | None) -> "He
 
     with terminal.slow("reading the elevation model"):
         return read_dem(dem, DemOptions(crs=crs))
+
+
+def curvature_of(terrain: "HeightField", refraction_k: float | None) -> Curvature:
+    """Return the curvature of a terrain's world, with another refraction if one is given."""
+    usual = terrain.frame.curvature
+    return usual if refraction_k is None else replace(usual, refraction_k=refraction_k)
 
 
 def parse_bounds(text: str) -> "Bounds":

@@ -13,12 +13,13 @@ from skyline.cli.options import (
     EyeHeight,
     RefractionK,
     SummitWithin,
+    curvature_of,
     parse_position,
     read_terrain,
 )
 from skyline.cli.terminal import Terminal
 from skyline.errors import InputError
-from skyline.geodesy.earth import DEFAULT_REFRACTION_K, Curvature
+from skyline.geodesy.earth import Curvature
 from skyline.horizons import LocalHorizons, horizons_of
 from skyline.sun import Body, day_of
 from skyline.tasks.standing import stand_with_notes, warn_of_border
@@ -51,7 +52,7 @@ def sun(
     ] = DEFAULT_WITHIN_KM,
     eye_height: EyeHeight = DEFAULT_EYE_HEIGHT_M,
     summit_within: SummitWithin = None,
-    refraction_k: RefractionK = DEFAULT_REFRACTION_K,
+    refraction_k: RefractionK = None,
     crs: Crs = None,
 ) -> None:
     """Print when the sun and the moon are above the mountains on a day.
@@ -62,12 +63,17 @@ def sun(
     """
     terminal = Terminal.of(context)
     asked = day_of(day)
-    curvature = Curvature(refraction_k=refraction_k)
     positions = [parse_position(text) for text in at]
     summit = None if over is None else parse_position(over, "--over")
     if not within > 0.0:
         raise InputError(f"--within is {within:g}; expected kilometres above 0")
     terrain = read_terrain(terminal, dem, crs)
+    if not terrain.frame.is_of_earth:
+        raise InputError(
+            f"the DEM is of another world ({terrain.frame.name}), and the sun is computed for the "
+            "Earth; give a DEM of the Earth"
+        )
+    curvature = curvature_of(terrain, refraction_k)
     if summit is not None:
         areas = [Area(lon=lon, lat=lat, radius_m=1000.0 * within) for lon, lat in positions]
         lines = [
