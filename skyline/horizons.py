@@ -325,7 +325,7 @@ def horizon(  # noqa: PLR0913  (independent conditions)
     step_deg : float
         Step between azimuths; the first azimuth is true north.
     curvature : Curvature, optional
-        Defaults to the Earth's with k = 0.13.
+        Defaults to `Frame.curvature`: the Earth's with k = 0.13, or another world's.
     surface : path, paths or HeightField, optional
         A surface or canopy model: the height to which trees and houses may rise above the horizon.
     summit_within_m : float, optional

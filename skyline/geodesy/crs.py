@@ -92,6 +92,9 @@ def to_wgs84(crs: CRS, x: float, y: float) -> tuple[float, float, str]:
     They are in WGS 84, or on the body that the CRS is of.
     """
     transformation = transformer(crs, lonlat_of(crs))
+    if not is_of_earth(crs):
+        lon, lat = transformation.transform(x, y)
+        return float(lon), float(lat), "none: positions are on the ellipsoid of another world"
     lon, lat = transformation.transform(x, y)
     with suppress(ProjError):  # There may be only one operation.
         transformation = transformation.get_last_used_operation()
