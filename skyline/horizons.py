@@ -9,7 +9,7 @@ import io
 import logging
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from datetime import date
 from numbers import Real
 from typing import TYPE_CHECKING, Any
@@ -20,11 +20,12 @@ from pyproj import Geod
 
 from skyline.arrays import Float32Array, Float64Array, Progress, UInt8Array
 from skyline.errors import InputError, library
+from skyline.geodesy.bounds import in_turn
 from skyline.geodesy.earth import Curvature
 from skyline.render.horizon import PanoramaRenderer
 from skyline.sky_view import sky_view_factor
 from skyline.skylines import MAX_WIDTH, Horizons
-from skyline.sun import Interval, day_of, sun_above
+from skyline.sun import Body, Interval, Sky, above, day_of
 from skyline.terrain.dem import Dem, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.surface_model import read_surface
@@ -212,15 +213,35 @@ class LocalHorizons:
             PyEphem is not installed, the horizon is unknown at some azimuth, one of several places
             is not chosen, or the day is not a date from 1583 to 9998.
         """
+        return self._above(Body.SUN, day, place)
+
+    def moon_above(self, day: date | str, place: Place = None) -> list[Interval]:
+        """Return when part of the moon's disc, dark or lit, is above one place's horizon.
+
+        Parameters, times and errors as `sun_above`. The day is the sun's.
+        """
+        return self._above(Body.MOON, day, place)
+
+    def sky(self, place: Place = None) -> Sky:
+        """Return the sky over one place.
+
+        Raises `InputError` if PyEphem is not installed or one of several places is not chosen.
+        """
+        index = self._chosen(place)
+        at = self.lon[index], self.lat[index], self.eye_elevation_m[index]
+        return Sky(*map(float, at))
+
+    def _above(self, body: Body, day: date | str, place: Place) -> list[Interval]:
         day = day_of(day)
-        place = self._chosen(place)
-        return sun_above(
+        index = self._chosen(place)
+        return above(
             day,
-            lon=float(self.lon[place]),
-            lat=float(self.lat[place]),
-            eye_elevation_m=float(self.eye_elevation_m[place]),
-            azimuth_deg=self.azimuth_deg[place],
-            elevation_deg=self.elevation_deg[place],
+            body,
+            lon=float(self.lon[index]),
+            lat=float(self.lat[index]),
+            eye_elevation_m=float(self.eye_elevation_m[index]),
+            azimuth_deg=self.azimuth_deg[index],
+            elevation_deg=self.elevation_deg[index],
         )
 
     def plot(self, ax: Axes | None = None) -> Axes:
@@ -435,6 +456,39 @@ def _drawable(names: Sequence[str]) -> list[tuple[str, tuple[str, ...]]]:
     return drawable
 
 
+def with_photo(
+    horizons: LocalHorizons, azimuth_deg: Float64Array, elevation_deg: Float64Array
+) -> tuple[LocalHorizons, float]:
+    """Return one place's horizon with a photo's skyline in it, and the photo's share of the turn.
+
+    Parameters
+    ----------
+    horizons : LocalHorizons
+        One place.
+    azimuth_deg, elevation_deg : (N,) float64
+        The photo's skyline, from true north. Azimuths within half a step of a point of it, or of a
+        gap between two columns, have its elevation and no distance; the others keep the horizon
+        that they have.
+    """
+    order = np.argsort(azimuth_deg % 360.0)
+    known_deg, up_deg = azimuth_deg[order] % 360.0, elevation_deg[order]
+    at_deg = horizons.azimuth_deg[0]
+    after = np.searchsorted(known_deg, at_deg) % len(known_deg)
+    nearest_deg = np.minimum(
+        np.abs(in_turn(known_deg[after] - at_deg)), np.abs(in_turn(known_deg[after - 1] - at_deg))
+    )
+    reach_deg = max(180.0 / len(at_deg), 2.0 * float(np.median(np.diff(known_deg, append=360.0))))
+    is_seen = nearest_deg <= reach_deg
+    seen_deg = np.interp(at_deg, known_deg, up_deg, period=360.0)
+    joined = replace(
+        horizons,
+        elevation_deg=np.where(is_seen, seen_deg, horizons.elevation_deg).astype(np.float32),
+        distance_m=np.where(is_seen, np.float32(np.nan), horizons.distance_m),
+        flags=np.where(is_seen, np.uint8(0), horizons.flags),
+    )
+    return joined, float(is_seen.mean())
+
+
 def horizon(  # noqa: PLR0913  (independent conditions)
     terrain: Dem,
     *,
@@ -458,7 +512,7 @@ def horizon(  # noqa: PLR0913  (independent conditions)
     step_deg : float
         Step between azimuths; the first azimuth is true north.
     curvature : Curvature, optional
-        Defaults to the Earth's with k = 0.13.
+        Defaults to `Frame.curvature`: the Earth's with k = 0.13, or another world's.
     surface : path, paths, DataArray or HeightField, optional
         A surface or canopy model: the height to which trees and houses may rise above the horizon.
     summit_within_m : float, optional

@@ -27,7 +27,6 @@ import numpy as np
 from skyline.arrays import Float64Array, refuse_text
 from skyline.errors import InputError, printable
 from skyline.geodesy.bounds import in_turn
-from skyline.geodesy.earth import Curvature
 from skyline.match import confidence
 from skyline.match.config import MatchConfig
 from skyline.match.other_projection import find_other_projection
@@ -329,7 +328,7 @@ class Orienter(Closeable):
                 f"0, at most {_SEARCH.most_position_sd_m:g}: search a wider area with skyline match"
             )
         self.terrain = read_dem(dem)
-        self.curvature = Curvature()
+        self.curvature = self.terrain.frame.curvature
         self.frame = self.terrain.frame
         self._position_sd_m = position_sd_m
         ground = stand_at_one(self.terrain, lon=lon, lat=lat, eye_height_m=0.0)

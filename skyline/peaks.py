@@ -326,7 +326,7 @@ def aimed_at(
     """
     aimed: list[Sighting | None] = []
     for index, name in enumerate(peaks.names):
-        summit = _summit(terrain, peaks.easting_m[index], peaks.northing_m[index])
+        summit = summit_near(terrain, peaks.easting_m[index], peaks.northing_m[index])
         if summit is None:
             aimed.append(None)
             continue
@@ -386,7 +386,7 @@ def most_prominent_first(terrain: HeightField, sightings: Sequence[S]) -> list[S
     return sorted(sightings, key=rank)
 
 
-def _summit(
+def summit_near(
     terrain: HeightField, easting_m: float, northing_m: float
 ) -> tuple[float, float, float] | None:
     """Return easting, northing and height of the highest sample near a place.

@@ -12,6 +12,9 @@ from skyline.files import read_bytes
 from skyline.pose import EXPECTED_RECORD, NotedPose, noted_projection
 from skyline.store.read import is_store
 
+ANGLE_SDS = ("heading_sd_deg", "pitch_sd_deg", "roll_sd_deg", "fov_sd_deg")
+"""Names of the standard errors of a pose's angles, as `skyline orient` writes them."""
+
 
 @dataclass(frozen=True, slots=True)
 class PoseRecord:
@@ -64,6 +67,17 @@ def read_pose(path: Path, photo: Path) -> PoseRecord:
         # An orientation has its eye's elevation, and also the height that follows from it.
         record = {**record, "eye_height_m": None}
     return PoseRecord(path, record, doubt)
+
+
+def angle_sds_in(path: Path, photo: Path) -> dict[str, float]:
+    """Return the standard errors of a pose's angles that its file has, by their names.
+
+    The file is one that `read_pose` reads; `skyline orient --json` writes standard errors.
+    """
+    record = _record_of(_records_in(path), path, photo)
+    given = record if isinstance(record, dict) else {}
+    sds = {name: given.get(name) for name in ANGLE_SDS}
+    return {name: float(sd) for name, sd in sds.items() if isinstance(sd, int | float) and sd > 0}
 
 
 def _records_in(path: Path) -> list[Any]:

@@ -12,6 +12,7 @@ import math
 import warnings
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from datetime import datetime
 from pathlib import Path
 from threading import Lock
 from typing import TYPE_CHECKING
@@ -36,6 +37,7 @@ from skyline.pose import NotedPose, Pose
 from skyline.render.context import Closeable, RenderThread
 from skyline.render.horizon import RenderConfig, RenderedScene
 from skyline.skylines import HEADINGS, Views
+from skyline.sun import Body, Sky
 from skyline.terrain.dem import Dem, read_dem
 from skyline.terrain.ray_casting import first_hits_m
 from skyline.terrain.viewpoints import (
@@ -63,6 +65,9 @@ _WIDTH = 1024
 _MARGIN_DEG = 20.0
 """A view is rendered if half the field of view comes this near to it: a photo of 120 degrees that
 is pitched by 30 and rolled by 10 degrees shows skyline 19 degrees beyond."""
+_DISC_POINTS = 49
+_DISC_STEP_RAD = 1e-4
+"""Between the profiles that are followed; the direction of one ray is met exactly."""
 _ROUNDED_M = 0.01
 """An eye that is too low by less than this is rounded."""
 
@@ -128,6 +133,33 @@ class UnseenPeaks:
     """They lie outside the photo."""
     off_map: tuple[str, ...]
     """They lie off the elevation model."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class SeenBody:
+    """The sun or the moon in a photo.
+
+    Attributes
+    ----------
+    name : str
+        "sun" or "moon".
+    column_px, row_px : float
+        Middle of the disc; pixel centres are at whole numbers.
+    outline_px : (P, 2) float64
+        Columns and rows of the disc's edge, closed.
+    azimuth_deg, elevation_deg : float
+        From true north; refracted.
+    is_hidden : bool
+        Whether terrain hides the middle of the disc.
+    """
+
+    name: str
+    column_px: float
+    row_px: float
+    outline_px: Float64Array
+    azimuth_deg: float
+    elevation_deg: float
+    is_hidden: bool
 
 
 def sight_of(pose: Pose, photo: PhotoSkyline, views: Views) -> Sight:
@@ -315,7 +347,8 @@ class Viewer(Closeable):
     peaks : Peaks, optional
         Names of summits.
     curvature : Curvature, optional
-        Defaults to the Earth's with k = 0.13. A store's header has the curvature of its matcher.
+        Defaults to `Frame.curvature`: the Earth's with k = 0.13. A store's header has the curvature
+        of its matcher.
     render_thread : RenderThread, optional
         A thread that renders, with priority over a matcher that renders there too.
     """
@@ -333,7 +366,7 @@ class Viewer(Closeable):
         self.frame = self.terrain.frame
         if peaks is not None:
             check_on_map(peaks, self.terrain)
-        self.curvature = curvature or Curvature()
+        self.curvature = curvature or self.frame.curvature
         self._thread = render_thread
         self._making = Lock()
         self._scene: RenderedScene | None = None
@@ -537,6 +570,46 @@ class Viewer(Closeable):
                 is_inside = peaks_in_picture(pose, photo, [one])
                 (hidden if is_inside else outside).append(name)
         return UnseenPeaks(hidden=tuple(hidden), outside=tuple(outside), off_map=tuple(off_map))
+
+    def bodies(self, pose: Pose, photo: PhotoSkyline, at: datetime) -> list[SeenBody]:
+        """Return the sun and the moon at a time, those whose middle is in the picture.
+
+        Raises `OffMapError` for a pose off the map or on a hole, and `InputError` as `look`, or if
+        PyEphem is not installed.
+        """
+        photo.projection.check_fov_deg(pose.fov_deg)
+        eye = self._standing(pose)
+        sky = Sky(pose.lon, pose.lat, float(eye.eye_elevation_m[0]))
+        camera = pose.camera(photo)
+        turn = np.linspace(0.0, 2.0 * np.pi, _DISC_POINTS)
+        found = []
+        for body in Body:
+            disc = sky.look(body, at)
+            aside_deg = disc.radius_deg * np.append(0.0, np.sin(turn))
+            up_deg = disc.elevation_deg + disc.radius_deg * np.append(0.0, np.cos(turn))
+            azimuth_deg = (
+                disc.azimuth_deg
+                - pose.convergence_deg
+                + aside_deg / np.cos(np.radians(disc.elevation_deg))
+            )
+            edge = np.column_stack(camera.pixels(azimuth_deg, np.tan(np.radians(up_deg))))
+            (column_px, row_px), outline_px = edge[0], edge[1:]
+            if not (0.0 <= column_px < photo.width_px and 0.0 <= row_px < photo.height_px):
+                continue
+            towards = np.radians(azimuth_deg[:1]), np.tan(np.radians(up_deg[:1]))
+            hit_m = first_hits_m(self.terrain, eye, self.curvature, *towards, _DISC_STEP_RAD, None)
+            found.append(
+                SeenBody(
+                    name=str(body),
+                    column_px=float(column_px),
+                    row_px=float(row_px),
+                    outline_px=outline_px,
+                    azimuth_deg=disc.azimuth_deg,
+                    elevation_deg=disc.elevation_deg,
+                    is_hidden=bool(np.isfinite(hit_m[0])) or disc.elevation_deg < 0.0,
+                )
+            )
+        return found
 
     def sightings(self, pose: Pose) -> list[Sighting]:
         """Return all peaks visible from a pose, as `summits`."""

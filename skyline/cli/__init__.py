@@ -16,6 +16,7 @@ COMMANDS = {
         "orient": "Find how cameras were held at a known position.",
         "label": "Write the names of summits on a copy of a photo.",
         "pixels": "Give the position on the terrain of each pixel of a photo.",
+        "when": "Tell when a photo was taken, by its sun, its moon or a shadow.",
         "extract": "Find the skyline in a photo and write it as a trace.",
         "serve": "Serve a page that finds the places of photos in a browser.",
     },
@@ -26,7 +27,7 @@ COMMANDS = {
     },
     "Views from a position": {
         "horizon": "Give the horizon at positions, by azimuth from true north.",
-        "sun": "Print when the sun is above the mountains on a day.",
+        "sun": "Print when the sun and the moon are above the mountains on a day.",
         "panorama": "Draw the view from a position, with the peaks' names.",
     },
     "Data": {

@@ -14,12 +14,12 @@ from skyline.cli.options import (
     RefractionK,
     Spacing,
     Workers,
+    curvature_of,
     output_option,
     parse_bounds,
     read_terrain,
 )
 from skyline.cli.terminal import Terminal
-from skyline.geodesy.earth import DEFAULT_REFRACTION_K, Curvature
 from skyline.store.read import open_store
 from skyline.survey.build import BuildResult, build_store
 from skyline.survey.cluster import runner_of
@@ -51,15 +51,15 @@ def build(
     ] = None,
     bounds: BoundsText = None,
     workers: Workers = None,
-    refraction_k: RefractionK = DEFAULT_REFRACTION_K,
+    refraction_k: RefractionK = None,
     crs: Crs = None,
 ) -> None:
     """Build the store that `match` searches. After Ctrl-C, the same command continues."""
     terminal = Terminal.of(context)
     advise_to_continue(output, terminal)
     area = None if bounds is None else parse_bounds(bounds)
-    plan = PlacePlan(spacing, area, places, Curvature(refraction_k=refraction_k))
     terrain = read_terrain(terminal, dem, crs)
+    plan = PlacePlan(spacing, area, places, curvature_of(terrain, refraction_k))
     note_added_area(output, plan, terrain, terminal)
     with runner_of(workers) as runner, build_bar(output, "places", terminal) as bar:
         result = build_store(terrain, output, plan, runner, bar)

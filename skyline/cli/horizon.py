@@ -13,16 +13,18 @@ from skyline.cli.options import (
     RefractionK,
     SummitWithin,
     SurfaceFiles,
+    curvature_of,
     output_option,
     parse_position,
     read_terrain,
 )
+from skyline.cli.photo_options import POSE, PhotoProjection
 from skyline.cli.terminal import Terminal
-from skyline.errors import InputError, suffix_of
+from skyline.errors import InputError
 from skyline.files import STANDARD, check_outputs
-from skyline.geodesy.earth import DEFAULT_REFRACTION_K, Curvature
 from skyline.horizons import DEFAULT_STEP_DEG, horizons_of, steps_a_turn
-from skyline.report.horizon_files import KINDS, horizon_csv, write_horizons
+from skyline.report.horizon_files import horizon_csv, kind_of_horizons, write_horizons
+from skyline.tasks.photo_horizon import PhotoHorizonTask, photo_horizon
 from skyline.tasks.standing import stand_with_notes, warn_of_border
 from skyline.terrain.surface_model import read_surface
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, read_viewpoints
@@ -50,36 +52,61 @@ def horizon(
     output: Annotated[
         Path | None,
         output_option(
-            f"The file to write: {', '.join(KINDS)} (PVGIS' horizon file).",
+            "The file to write: .csv, .json, .txt (PVGIS), .hor (PVsyst, Meteonorm, PV*SOL), "
+            ".sam.csv (SAM), .hrz (N.I.N.A.) or .zip (Stellarium).",
             show_default="CSV is printed",
         ),
     ] = None,
     surface: SurfaceFiles = None,
-    refraction_k: RefractionK = DEFAULT_REFRACTION_K,
+    photo: Annotated[
+        Path | None,
+        Option(
+            metavar="PHOTO",
+            help="Take the horizon that a photo shows, trees and houses included, where it shows "
+            "one; with --pose, in place of a position.",
+        ),
+    ] = None,
+    pose: Annotated[Path | None, POSE] = None,
+    projection: PhotoProjection = None,
+    refraction_k: RefractionK = None,
     crs: Crs = None,
 ) -> None:
     """Give the horizon at positions, by azimuth from true north.
 
-    It has an elevation angle and a distance for each azimuth.
+    It has an elevation angle and a distance for each azimuth. With --photo, it is
+    the skyline of a photo where the photo shows one.
     """
     terminal = Terminal.of(context)
-    if bool(at) == (viewpoints is not None):
-        raise InputError("give positions as --at LON,LAT or as --viewpoints FILE.csv")
-    check_outputs([output], filter(None, [viewpoints]))
-    if output not in {None, Path(STANDARD)}:
-        suffix_of(output, KINDS)
+    if bool(at) + (viewpoints is not None) + (photo is not None) != 1:
+        raise InputError(
+            "give positions as --at LON,LAT or as --viewpoints FILE.csv, or a --photo with its "
+            "--pose"
+        )
+    if (photo is None) != (pose is None):
+        raise InputError("one of --photo and --pose is given; expected both or neither")
+    if photo is not None and surface:
+        raise InputError("--photo shows trees and houses itself; leave --surface out")
+    check_outputs([output], filter(None, [viewpoints, photo, pose]))
+    if output is not None and output != Path(STANDARD):
+        kind_of_horizons(output)
     steps_a_turn(step_deg)  # Refused before the DEM is read
-    curvature = Curvature(refraction_k=refraction_k)
     positions = [parse_position(text) for text in at or ()]
     terrain = read_terrain(terminal, dem, crs)
-    ids: tuple[str, ...] = ()
-    if viewpoints is not None:
-        eyes, ids = read_viewpoints(viewpoints, terrain, eye_height, summit_within)
+    curvature = curvature_of(terrain, refraction_k)
+    if photo is not None and pose is not None:
+        task = PhotoHorizonTask(
+            photo=photo, pose=pose, step_deg=step_deg, curvature=curvature, projection=projection
+        )
+        found = photo_horizon(task, terrain, terminal)
     else:
-        eyes = stand_with_notes(terrain, positions, eye_height, summit_within, terminal)
-    over = read_surface(surface, terrain) if surface else None
-    with terminal.progress("rendering") as progress:
-        found = horizons_of(terrain, eyes, step_deg, curvature, progress, over, ids)
+        ids: tuple[str, ...] = ()
+        if viewpoints is not None:
+            eyes, ids = read_viewpoints(viewpoints, terrain, eye_height, summit_within)
+        else:
+            eyes = stand_with_notes(terrain, positions, eye_height, summit_within, terminal)
+        over = read_surface(surface, terrain) if surface else None
+        with terminal.progress("rendering") as progress:
+            found = horizons_of(terrain, eyes, step_deg, curvature, progress, over, ids)
     if output is None or str(output) == STANDARD:
         typer.echo(horizon_csv(found), nl=False)
     else:

@@ -19,6 +19,7 @@ from skyline.cli.photo_options import (
     heading_of,
 )
 from skyline.cli.terminal import Terminal
+from skyline.sun import time_of
 from skyline.tasks.label import LABEL_FILES, LabelTask, label_photo
 from skyline.tasks.orient import CameraAt
 
@@ -38,6 +39,13 @@ def label(
     ridges: Annotated[
         bool, Option("--ridges", help="Draw the skyline of the elevation model faintly.")
     ] = False,
+    time: Annotated[
+        str | None,
+        Option(
+            metavar="TIME",
+            help="When the photo was taken, as 2026-12-21T15:04Z: draw the sun and the moon.",
+        ),
+    ] = None,
     projection: PhotoProjection = None,
     crs: Crs = None,
 ) -> None:
@@ -65,6 +73,7 @@ def label(
         fov_deg=fov_deg,
         projection=projection,
         ridges=ridges,
+        time=None if time is None else time_of(time),
     )
     seen, *missing = label_photo(task, terminal)
     terminal.line(f"{output}: {seen}")

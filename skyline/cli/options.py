@@ -5,6 +5,7 @@ read from the environment: what is known of a photo is not, since it would hold 
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -14,6 +15,7 @@ from typer import Argument, Option
 from skyline.cli.terminal import Terminal
 from skyline.errors import InputError, numbers_in, swapped_in_words
 from skyline.geodesy.bounds import are_degrees
+from skyline.geodesy.earth import DEFAULT_REFRACTION_K, Curvature
 
 if TYPE_CHECKING:
     from skyline.geodesy.bounds import Bounds
@@ -84,11 +86,12 @@ SurfaceFiles = Annotated[
     ),
 ]
 RefractionK = Annotated[
-    float,
+    float | None,
     of_terrain(
         "--refraction-k",
         metavar="K",
         help="Refraction coefficient: the share of the Earth's curvature that refraction undoes.",
+        show_default=f"{DEFAULT_REFRACTION_K:g}, and 0 on other worlds",
     ),
 ]
 Crs = Annotated[
@@ -155,6 +158,12 @@ def read_terrain(terminal: Terminal, dem: Sequence[str], crs: str | None) -> "He
         return read_dem(dem, DemOptions(crs=crs))
 
 
+def curvature_of(terrain: "HeightField", refraction_k: float | None) -> Curvature:
+    """Return the curvature of a terrain's world, with another refraction if one is given."""
+    usual = terrain.frame.curvature
+    return usual if refraction_k is None else replace(usual, refraction_k=refraction_k)
+
+
 def parse_bounds(text: str) -> "Bounds":
     """Return west, south, east and north, degrees, from ``W,S,E,N``.
 
@@ -165,9 +174,9 @@ def parse_bounds(text: str) -> "Bounds":
     return west, south, east, north
 
 
-def parse_position(text: str) -> tuple[float, float]:
+def parse_position(text: str, option: str = "--at") -> tuple[float, float]:
     """Return longitude and latitude from ``LON,LAT``; raises `InputError` for anything else."""
-    error = f"--at is `{text}`; expected LON,LAT in degrees (WGS 84), e.g. 9.84,46.80"
+    error = f"{option} is `{text}`; expected LON,LAT in degrees (WGS 84), e.g. 9.84,46.80"
     lon, lat = numbers_in(text, 2, error)
     if not are_degrees(lon, lat):
         swapped = f"; {swapped_in_words(lon, lat)}" if are_degrees(lat, lon) else ""

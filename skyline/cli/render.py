@@ -105,7 +105,7 @@ def render(
     width: Annotated[
         int, of_terrain(metavar="N", help="Columns of a 90 degree view.")
     ] = _RENDERED.width,
-    refraction_k: RefractionK = DEFAULT_REFRACTION_K,
+    refraction_k: RefractionK = None,
     crs: Crs = None,
 ) -> None:
     """Render views into a store, for the paper's matcher.
@@ -113,6 +113,7 @@ def render(
     The views look to grid north, east, south and west.
     """
     terminal = Terminal.of(context)
+    used_k = DEFAULT_REFRACTION_K if refraction_k is None else refraction_k
     task = RenderTask(
         dem=tuple(dem),
         crs=crs,
@@ -128,7 +129,7 @@ def render(
         bounds_deg=None if bounds is None else parse_bounds(bounds),
         depth_images=depth_images,
         workers=workers,
-        config=RenderConfig(width, Curvature(refraction_k=refraction_k)),
+        config=RenderConfig(width, Curvature(refraction_k=used_k)),
     )
     if planner is None:
         terminal.line(built_in_words(render_store(task, terminal), output, "renderings"))

@@ -1,16 +1,34 @@
-"""``skyline sun``: when the sun is above the mountains."""
+"""``skyline sun``: when sun and moon are above the mountains, and over a summit."""
 
+from datetime import date
 from typing import Annotated
 
 import typer
 from typer import Option
 
-from skyline.cli.options import Crs, Dems, EyeHeight, SummitWithin, parse_position, read_terrain
+from skyline.alignments import DEFAULT_WITHIN_KM, Area, standpoints
+from skyline.cli.options import (
+    Crs,
+    Dems,
+    EyeHeight,
+    RefractionK,
+    SummitWithin,
+    curvature_of,
+    parse_position,
+    read_terrain,
+)
 from skyline.cli.terminal import Terminal
-from skyline.horizons import horizons_of
-from skyline.sun import day_of
+from skyline.errors import InputError
+from skyline.geodesy.earth import Curvature
+from skyline.horizons import LocalHorizons, horizons_of
+from skyline.sun import Body, day_of
 from skyline.tasks.standing import stand_with_notes, warn_of_border
+from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M
+
+_STEP_DEG = 0.125
+"""Step of the horizon: the sun needs half a minute for it."""
+_SECOND = "%Y-%m-%dT%H:%M:%SZ"
 
 
 def sun(
@@ -21,24 +39,96 @@ def sun(
         Option(metavar="LON,LAT", help="A position, degrees (WGS 84); may be repeated."),
     ],
     day: Annotated[str, Option("--date", metavar="YYYY-MM-DD", help="The day at the position.")],
+    over: Annotated[
+        str | None,
+        Option(
+            metavar="LON,LAT",
+            help="A summit: print where to stand, around the position, for sun and moon to be over "
+            "it.",
+        ),
+    ] = None,
+    within: Annotated[
+        float, Option(metavar="KM", help="With --over: kilometres around the position.")
+    ] = DEFAULT_WITHIN_KM,
     eye_height: EyeHeight = DEFAULT_EYE_HEIGHT_M,
     summit_within: SummitWithin = None,
+    refraction_k: RefractionK = None,
     crs: Crs = None,
 ) -> None:
-    """Print when the sun is above the mountains on a day.
+    """Print when the sun and the moon are above the mountains on a day.
 
-    The result is a CSV of times in UTC. The extra `sun` is needed.
+    The result is a CSV of times in UTC and azimuths from true north. With --over,
+    it is a CSV of the positions from which sun or moon stand right over a summit,
+    minute by minute. The extra `sun` is needed.
     """
     terminal = Terminal.of(context)
     asked = day_of(day)
     positions = [parse_position(text) for text in at]
+    summit = None if over is None else parse_position(over, "--over")
+    if not within > 0.0:
+        raise InputError(f"--within is {within:g}; expected kilometres above 0")
     terrain = read_terrain(terminal, dem, crs)
+    if not terrain.frame.is_of_earth:
+        raise InputError(
+            f"the DEM is of another world ({terrain.frame.name}), and the sun is computed for the "
+            "Earth; give a DEM of the Earth"
+        )
+    curvature = curvature_of(terrain, refraction_k)
+    if summit is not None:
+        areas = [Area(lon=lon, lat=lat, radius_m=1000.0 * within) for lon, lat in positions]
+        lines = [
+            line
+            for body in Body
+            for area in areas
+            for line in _standpoints(terrain, summit, asked, body, area, eye_height, curvature)
+        ]
+        terminal.line("time_utc,lon,lat,distance_m,azimuth_deg,elevation_deg,body")
+        for line in lines:
+            terminal.line(line)
+        return
     eyes = stand_with_notes(terrain, positions, eye_height, summit_within, terminal)
     with terminal.progress("rendering") as progress:
-        found = horizons_of(terrain, eyes, progress=progress)
-    terminal.line("lon,lat,from_utc,to_utc")
+        found = horizons_of(terrain, eyes, _STEP_DEG, curvature, progress)
+    terminal.line("lon,lat,from_utc,to_utc,from_azimuth_deg,to_azimuth_deg,body")
     for place in range(len(found)):
-        for begin, end in found.sun_above(asked, place):
-            times = ",".join(f"{time:%Y-%m-%dT%H:%M:%SZ}" for time in (begin, end))
-            terminal.line(f"{found.lon[place]:.7f},{found.lat[place]:.7f},{times}")
+        for body in Body:
+            for line in _intervals(found, place, asked, body):
+                terminal.line(line)
     warn_of_border(found)
+
+
+def _intervals(found: LocalHorizons, place: int, day: date, body: Body) -> list[str]:
+    """Return the lines of a body's times above one place's horizon."""
+    above = found.sun_above if body is Body.SUN else found.moon_above
+    sky = found.sky(place)
+    return [
+        ",".join(
+            [
+                f"{found.lon[place]:.7f},{found.lat[place]:.7f}",
+                *(f"{time:{_SECOND}}" for time in interval),
+                *(f"{sky.look(body, time).azimuth_deg:.2f}" for time in interval),
+                body,
+            ]
+        )
+        for interval in above(day, place)
+    ]
+
+
+def _standpoints(
+    terrain: HeightField,
+    summit: tuple[float, float],
+    day: date,
+    body: Body,
+    area: Area,
+    eye_height_m: float,
+    curvature: Curvature,
+) -> list[str]:
+    """Return the lines of the places in an area from which a body is over a summit."""
+    found = standpoints(
+        terrain, summit, day, body, area, eye_height_m=eye_height_m, curvature=curvature
+    )
+    return [
+        f"{one.time:{_SECOND}},{one.lon:.6f},{one.lat:.6f},{one.distance_m:.0f},"
+        f"{one.azimuth_deg:.3f},{one.elevation_deg:.3f},{body}"
+        for one in found
+    ]

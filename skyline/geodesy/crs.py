@@ -9,6 +9,9 @@ from pyproj.exceptions import CRSError, ProjError
 
 from skyline.errors import InputError
 
+_WGS84_M = 6378137.0
+"""Semi-major axis of WGS 84."""
+
 
 def is_upright(crs: CRS) -> bool:
     """Return whether a CRS's map is neither mirrored nor upside down.
@@ -31,6 +34,32 @@ def without_vertical(crs: CRS) -> CRS:
     return crs.to_2d() if len(crs.axis_info) > 2 else crs
 
 
+def half_axes_m(crs: CRS) -> tuple[float, float]:
+    """Return the half axes of a CRS's ellipsoid at the equator and at the pole; else WGS 84's."""
+    ellipsoid = crs.ellipsoid or CRS.from_epsg(4326).ellipsoid
+    assert ellipsoid is not None
+    return float(ellipsoid.semi_major_metre), float(ellipsoid.semi_minor_metre)
+
+
+def is_of_earth(crs: CRS) -> bool:
+    """Return whether a CRS is of the Earth, or names no ellipsoid.
+
+    Ellipsoids and spheres of the Earth differ by less than 0.2 %; no other body's is as near.
+    """
+    return abs(half_axes_m(crs)[0] / _WGS84_M - 1.0) < 0.005
+
+
+def lonlat_of(crs: CRS) -> CRS:
+    """Return the CRS of longitudes and latitudes for the body of another CRS.
+
+    It is WGS 84 for the Earth. Longitudes count to the east from the prime meridian of the body.
+    """
+    if is_of_earth(crs):
+        return CRS.from_epsg(4326)
+    a_m, b_m = half_axes_m(crs)
+    return CRS.from_dict({"proj": "longlat", "a": a_m, "b": b_m, "no_defs": True})
+
+
 def parse_crs(crs: object) -> CRS:
     """Return the CRS of anything that pyproj understands; raises `InputError` otherwise."""
     try:
@@ -46,7 +75,7 @@ def transformer(source: CRS, target: CRS) -> Transformer:
     """Return the transformation between two CRS.
 
     Coordinates are x and y, in the order of raster files. Raises `InputError` where PROJ knows
-    none, as for the CRS of another planet.
+    none, as between the Earth and another world.
     """
     try:
         return Transformer.from_crs(source, target, always_xy=True)
@@ -58,8 +87,14 @@ def transformer(source: CRS, target: CRS) -> Transformer:
 
 
 def to_wgs84(crs: CRS, x: float, y: float) -> tuple[float, float, str]:
-    """Return a point's WGS 84 longitude, latitude and accuracy in words."""
-    transformation = transformer(crs, CRS.from_epsg(4326))
+    """Return a point's longitude, latitude and accuracy in words.
+
+    They are in WGS 84, or on the body that the CRS is of.
+    """
+    transformation = transformer(crs, lonlat_of(crs))
+    if not is_of_earth(crs):
+        lon, lat = transformation.transform(x, y)
+        return float(lon), float(lat), "none: positions are on the ellipsoid of another world"
     lon, lat = transformation.transform(x, y)
     with suppress(ProjError):  # There may be only one operation.
         transformation = transformation.get_last_used_operation()

@@ -16,7 +16,16 @@ from pyproj import CRS, Geod, Transformer
 from skyline.arrays import Complex128Array, Float64Array, refuse_text
 from skyline.errors import InputError
 from skyline.geodesy.bounds import Bounds, check_bounds, width_deg
-from skyline.geodesy.crs import is_metric, parse_crs, transformer, without_vertical
+from skyline.geodesy.crs import (
+    half_axes_m,
+    is_metric,
+    is_of_earth,
+    lonlat_of,
+    parse_crs,
+    transformer,
+    without_vertical,
+)
+from skyline.geodesy.earth import Curvature
 
 Rectangle = tuple[float, float, float, float]
 """West, south, east, north in metres of a frame."""
@@ -62,12 +71,18 @@ class Frame:
         return cls(parsed.to_wkt())
 
     @classmethod
-    def local(cls, *, lon: float, lat: float) -> Frame:
-        """Return the conformal transverse Mercator frame (WGS 84) through a point."""
+    def local(cls, *, lon: float, lat: float, world: CRS | None = None) -> Frame:
+        """Return the conformal transverse Mercator frame through a point.
+
+        It is on WGS 84, or on the ellipsoid of ``world``, a CRS of another body than the Earth.
+        """
         refuse_text(lon=lon, lat=lat)
+        datum = "+ellps=WGS84 +datum=WGS84"
+        if world is not None and not is_of_earth(world):
+            datum = "+a={!r} +b={!r}".format(*half_axes_m(world))
         definition = CRS.from_proj4(
-            f"+proj=tmerc +lat_0={lat:.9f} +lon_0={lon:.9f} +k=1 +x_0=0 +y_0=0 "
-            "+ellps=WGS84 +datum=WGS84 +units=m +no_defs"
+            f"+proj=tmerc +lat_0={lat:.9f} +lon_0={lon:.9f} +k=1 +x_0=0 +y_0=0 {datum} "
+            "+units=m +no_defs"
         ).to_json_dict()
         definition["name"] = f"{_LOCAL} at {lat:.4f}, {lon:.4f}"
         return cls(CRS.from_json_dict(definition).to_wkt())
@@ -88,14 +103,40 @@ class Frame:
         authority = self.crs.to_authority()
         return ":".join(authority) if authority else str(self.crs.name)
 
+    @property
+    def is_of_earth(self) -> bool:
+        """Whether the frame is a map of the Earth."""
+        return is_of_earth(self.crs)
+
+    @property
+    def curvature(self) -> Curvature:
+        """The curvature of the frame's world.
+
+        Other worlds than the Earth have the mean radius of their ellipsoid, and no refraction.
+        """
+        if self.is_of_earth:
+            return Curvature()
+        geod = self._geod
+        return Curvature(radius_m=(2.0 * geod.a + geod.b) / 3.0, refraction_k=0.0)
+
+    @cached_property
+    def _geod(self) -> Geod:
+        if self.is_of_earth:
+            return _WGS84
+        a_m, b_m = half_axes_m(self.crs)
+        return Geod(a=a_m, b=b_m)
+
     @cached_property
     def _to_lonlat(self) -> Transformer:
-        return transformer(self.crs, CRS.from_epsg(4326))
+        return transformer(self.crs, lonlat_of(self.crs))
 
     def to_lonlat(
         self, easting_m: ArrayLike, northing_m: ArrayLike
     ) -> tuple[Float64Array, Float64Array]:
-        """Return longitude and latitude (WGS 84, degrees) of map coordinates."""
+        """Return longitude and latitude (WGS 84, degrees) of map coordinates.
+
+        On another world than the Earth they are on its own ellipsoid.
+        """
         refuse_text(easting_m=easting_m, northing_m=northing_m)
         lon, lat = self._to_lonlat.transform(easting_m, northing_m)
         return np.asarray(lon, dtype=np.float64), np.asarray(lat, dtype=np.float64)
@@ -170,7 +211,7 @@ class Frame:
             return 0.0
         lon, lat = self.to_lonlat(easting, northing)
         middle = lon.size // 2
-        local = Frame.local(lon=lon.flat[middle], lat=lat.flat[middle])
+        local = Frame.local(lon=lon.flat[middle], lat=lat.flat[middle], world=self.crs)
         is_truer = local._greatest_error_deg(*local.from_lonlat(lon, lat)) < error_deg
         return error_deg if is_truer else 0.0
 
@@ -188,8 +229,8 @@ class Frame:
     ) -> tuple[Complex128Array, Complex128Array]:
         """Return the map steps of a metre of ground east and north.
 
-        They are easting + i northing, from differences of positions on WGS 84, and hold for any
-        datum, prime meridian and axes.
+        They are easting + i northing, from differences of positions on the ellipsoid, and hold for
+        any datum, prime meridian and axes.
         """
         lon, lat = self.to_lonlat(easting_m, northing_m)
         # Half of the differences from which a projection's derivatives are computed, 11 m.
@@ -208,7 +249,8 @@ class Frame:
             eastward = step(lon_step, 0.0)
             northward = step(0.0, step_deg)
         # The radii of curvature across the meridian and along it.
-        root = 1.0 - _WGS84.es * np.sin(lat_rad) ** 2
-        across_m = _WGS84.a / np.sqrt(root)
-        along_m = across_m * (1.0 - _WGS84.es) / root
+        geod = self._geod
+        root = 1.0 - geod.es * np.sin(lat_rad) ** 2
+        across_m = geod.a / np.sqrt(root)
+        along_m = across_m * (1.0 - geod.es) / root
         return eastward / across_m, northward / along_m

@@ -1,29 +1,47 @@
-"""Files of horizons: CSV, JSON, and the horizon file of PVGIS."""
+"""Files of horizons: CSV, JSON, and those of programs for solar energy and astronomy."""
 
 import io
 import json
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from skyline.errors import InputError, entry_named
+from skyline.arrays import Float64Array, IntArray
+from skyline.errors import InputError, suffix_of
 from skyline.files import write_whole
+from skyline.geodesy.bounds import in_turn
 from skyline.horizons import LocalHorizons
 from skyline.tables import csv_lines
 
 
-def write_horizons(horizons: LocalHorizons, path: Path) -> None:
-    """Write horizons to a file in the format of its suffix.
+def kind_of_horizons(path: Path) -> str:
+    """Return the ending in `KINDS` of a file's name.
 
-    ``.csv`` and ``.json`` hold any number of places; ``.txt`` (the horizon file of PVGIS: elevation
-    angles clockwise from north, one per line, none below 0) holds one.
-
-    Raises `InputError` where the suffix is unknown, the file cannot be written, or a ``.txt`` would
-    hold several places, a surface, or an unknown value.
+    Raises `InputError` where the ending is unknown.
     """
-    write_whole(path, entry_named("the suffix", path.suffix.lower(), KINDS)(horizons.ravel()))
+    name = path.name.lower()
+    known = [kind for kind in KINDS if name.endswith(kind)]
+    return max(known, key=len) if known else suffix_of(path, KINDS)
+
+
+def write_horizons(horizons: LocalHorizons, path: Path) -> None:
+    """Write horizons to a file in the format of its name's ending.
+
+    ``.csv`` and ``.json`` hold any number of places, the others one. ``.txt`` is the horizon file
+    of PVGIS, ``.hor`` of PVsyst, Meteonorm and PV*SOL, ``.sam.csv`` a table of shading for SAM,
+    ``.hrz`` the horizon of N.I.N.A. and other programs of observers, and ``.zip`` a landscape of
+    Stellarium.
+
+    Raises `InputError` where the ending is unknown, the file cannot be written, or a file of one
+    place would hold several, a surface, or an unknown value.
+    """
+    kind = kind_of_horizons(path)
+    if kind not in _OF_MANY:
+        _check_one(horizons, kind)
+    write_whole(path, KINDS[kind](horizons.ravel()))
 
 
 def horizon_csv(horizons: LocalHorizons) -> str:
@@ -78,29 +96,138 @@ def _known(value: np.floating[Any], digits: int) -> float | None:
     return round(float(value), digits) if np.isfinite(value) else None
 
 
-def _pvgis(horizons: LocalHorizons) -> str:
+def _check_one(horizons: LocalHorizons, kind: str) -> None:
+    """Raise `InputError` unless there is one horizon, known everywhere."""
     if len(horizons) != 1:
         raise InputError(
-            f"the file would hold {len(horizons)} horizons, but .txt holds one; give one place, or "
-            "write .csv or .json"
+            f"the file would hold {len(horizons)} horizons, but {kind} holds one; give one place, "
+            "or write .csv or .json"
         )
     if horizons.has_surface:
         raise InputError(
-            "the file would hold two horizons, but .txt holds one; leave --surface out, or write "
-            ".csv or .json"
+            f"the file would hold two horizons, but {kind} holds one; leave --surface out, or "
+            "write .csv or .json"
         )
-    elevation_deg = np.maximum(horizons.elevation_deg[0], 0.0)
-    if not np.isfinite(elevation_deg).all():
+    if not np.isfinite(horizons.elevation_deg).all():
         raise InputError(
             "the horizon is unknown at some azimuths; choose a place farther from the border of "
             "the DEM, or write .csv or .json"
         )
-    return "".join(f"{value:.2f}\n" for value in elevation_deg)
 
 
-KINDS: dict[str, Callable[[LocalHorizons], str]] = {
-    ".csv": horizon_csv,
-    ".json": _json,
+def _pvgis(horizons: LocalHorizons) -> str:
+    """Return elevation angles in equal steps clockwise from north, one per line, none below 0."""
+    return "".join(f"{value:.2f}\n" for value in np.maximum(horizons.elevation_deg[0], 0.0))
+
+
+def _at_degrees(horizons: LocalHorizons, azimuth_deg: IntArray) -> Float64Array:
+    """Return the elevation angles at whole degrees of azimuth, none below 0."""
+    angles = horizons.azimuth_deg[0], horizons.elevation_deg[0]
+    return np.asarray(np.maximum(np.interp(azimuth_deg, *angles, period=360.0), 0.0))
+
+
+def _hor(horizons: LocalHorizons) -> str:
+    """Return 360 lines of azimuth and elevation, from -180 on: 0 is south, -90 east.
+
+    PV*SOL's help (Shading, "*.hor-Format") has two columns with a space between them, azimuths from
+    -180 to 179 and elevations from 0 to 90; Meteonorm's files are the same, without a header. The
+    import of PVsyst (help, "Importing an Horizon profile") takes azimuth and height from each line,
+    and asks in which direction azimuths turn and which of them is north.
+    """
+    azimuth_deg = np.arange(-180, 180)
+    up_deg = _at_degrees(horizons, azimuth_deg + 180)
+    return "".join(f"{at} {up:.1f}\n" for at, up in zip(azimuth_deg, up_deg, strict=True))
+
+
+def _sam(horizons: LocalHorizons) -> str:
+    """Return the per cent of the sun's beam that is lost, by altitude and azimuth.
+
+    SAM (Shading, "Azimuth by Altitude"): the first row has azimuths from 0 to 360, where 0 is north
+    and 90 east; the first column has altitudes from 0 to 90; 100 is full shade.
+    """
+    azimuth_deg = np.arange(361)
+    up_deg = _at_degrees(horizons, azimuth_deg)
+    rows = [[0, *azimuth_deg]]
+    rows += [[up, *np.where(up < up_deg, 100, 0)] for up in range(91)]
+    return "".join(",".join(map(str, row)) + "\n" for row in rows)
+
+
+def _observers(horizons: LocalHorizons) -> str:
+    """Return azimuth and altitude of each azimuth, from north clockwise to 360.
+
+    N.I.N.A.'s `CustomHorizon`: pairs with a space between them; lines that start with # are
+    comments.
+    """
+    place = f"lat {horizons.lat[0]:.6f}, lon {horizons.lon[0]:.6f}"
+    return f"# azimuth altitude, degrees; {place}\n" + _pairs(horizons, closed=True)
+
+
+def _pairs(horizons: LocalHorizons, closed: bool) -> str:
+    azimuth_deg = np.append(horizons.azimuth_deg[0], 360.0)
+    up_deg = np.append(horizons.elevation_deg[0], horizons.elevation_deg[0, 0])
+    count = len(azimuth_deg) if closed else len(azimuth_deg) - 1
+    return "".join(
+        f"{at:.9g} {up:.3f}\n" for at, up in zip(azimuth_deg[:count], up_deg[:count], strict=True)
+    )
+
+
+def _stellarium(horizons: LocalHorizons) -> bytes:
+    """Return a zip of a polygonal landscape: landscape.ini and its horizon list.
+
+    Stellarium's user guide, chapter Landscapes, "Polygonal landscapes"; azimuths count from north
+    over east (``azDeg_altDeg``).
+    """
+    lon_deg, lat_deg = float(in_turn(horizons.lon[0])), float(horizons.lat[0])
+    name = str(horizons.id[0]) or f"Skyline {lat_deg:.4f} {lon_deg:.4f}"
+    lowest_deg = np.floor(min(float(horizons.elevation_deg.min()), 0.0)) - 1.0
+    lines = {
+        "landscape": {
+            "name": name,
+            "author": "Skyline",
+            "description": "Horizon of an elevation model",
+            "type": "polygonal",
+            "polygonal_horizon_list": "horizon.txt",
+            "polygonal_horizon_list_mode": "azDeg_altDeg",
+            "polygonal_angle_rotatez": "0",
+            "ground_color": ".15,.25,.15",
+            "minimal_altitude": f"{lowest_deg:.0f}",
+        },
+        "location": {
+            "planet": "Earth",
+            "latitude": _sexagesimal(lat_deg),
+            "longitude": _sexagesimal(lon_deg),
+            "altitude": f"{horizons.eye_elevation_m[0]:.0f}",
+        },
+    }
+    ini = "\n".join(
+        f"[{section}]\n" + "".join(f"{key} = {value}\n" for key, value in pairs.items())
+        for section, pairs in lines.items()
+    )
+    made = io.BytesIO()
+    with zipfile.ZipFile(made, "w", zipfile.ZIP_DEFLATED) as archive:
+        # A fixed time, so that the same horizon makes the same file.
+        for file, text in (("landscape.ini", ini), ("horizon.txt", _pairs(horizons, closed=False))):
+            archive.writestr(zipfile.ZipInfo(f"skyline/{file}"), text)
+    return made.getvalue()
+
+
+def _sexagesimal(angle_deg: float) -> str:
+    """Return an angle as Stellarium writes it: +46d45'00.0"."""
+    tenths = round(abs(angle_deg) * 36000.0)
+    minutes, second_tenths = divmod(tenths, 600)
+    degrees, minutes = divmod(minutes, 60)
+    sign = "-" if angle_deg < 0.0 else "+"
+    return f"{sign}{degrees}d{minutes:02d}'{second_tenths / 10.0:04.1f}\""
+
+
+_OF_MANY = {".csv": horizon_csv, ".json": _json}
+"""Formats of any number of places."""
+KINDS: dict[str, Callable[[LocalHorizons], str | bytes]] = {
+    **_OF_MANY,
     ".txt": _pvgis,
+    ".hor": _hor,
+    ".sam.csv": _sam,
+    ".hrz": _observers,
+    ".zip": _stellarium,
 }
-"""The formats of `write_horizons`, by their suffixes."""
+"""The formats of `write_horizons`, by the endings of names."""

@@ -15,9 +15,10 @@ from skyline.arrays import UInt8Array
 from skyline.photo.skyline import PhotoSkyline
 from skyline.pose import Pose
 from skyline.report.labels import UnnamedPeaks, encode_figure, labels_of, place_labels
-from skyline.view import SeenPeak, Sight
+from skyline.view import SeenBody, SeenPeak, Sight
 
 _RENDERED_COLOUR = "#00e0ff"
+_BODY_COLOUR = "#ffd23f"
 _DPI = 100.0
 _ROW_PX = 21.0
 """Height of a row of labels."""
@@ -59,6 +60,7 @@ def draw_labels(
     peaks: Sequence[SeenPeak],
     sight: Sight | None = None,
     kind: str = "png",
+    bodies: Sequence[SeenBody] = (),
 ) -> tuple[bytes, UnnamedPeaks]:
     """Draw a photo with the names and distances of its peaks.
 
@@ -72,6 +74,8 @@ def draw_labels(
         A rendered skyline, which is drawn faintly.
     kind : str
         ``png``, ``jpeg`` or ``svg``; in SVG names are text, and the photo is embedded.
+    bodies : sequence of SeenBody
+        The sun and the moon, whose discs are outlined; dashed where terrain hides them.
 
     Returns
     -------
@@ -83,7 +87,28 @@ def draw_labels(
     figure, axis, unnamed = _draw_picture(skyline, photo, peaks, texts)
     if sight is not None:
         axis.plot(sight.column_px, sight.row_px, color=_RENDERED_COLOUR, linewidth=1.0, alpha=0.6)
+    for body in bodies:
+        _draw_body(axis, body)
     return _encoded(figure, kind), unnamed
+
+
+def _draw_body(axis: Axes, body: SeenBody) -> None:
+    """Outline the disc of the sun or the moon, with its name below."""
+    style = "--" if body.is_hidden else "-"
+    column_px, row_px = body.outline_px.T
+    axis.plot(column_px, row_px, style, color=_BODY_COLOUR, linewidth=1.4, path_effects=_HALO)
+    foot_px = float(np.nanmax(body.outline_px[:, 1]))
+    axis.annotate(
+        f"{body.name}, hidden" if body.is_hidden else body.name,
+        (body.column_px, foot_px),
+        (0.0, -3.0),
+        textcoords="offset points",
+        ha="center",
+        va="top",
+        fontsize=10.0,
+        color=_BODY_COLOUR,
+        path_effects=_HALO,
+    )
 
 
 def _encoded(figure: Figure, kind: str) -> bytes:

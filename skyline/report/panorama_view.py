@@ -104,7 +104,7 @@ def panorama_view(
     seen = []
     if peaks is not None:
         check_on_map(peaks, terrain)
-        seen = visible_peaks(terrain, eye, peaks, Curvature())
+        seen = visible_peaks(terrain, eye, peaks, terrain.frame.curvature)
     inside = [
         one
         for one in seen
@@ -153,7 +153,7 @@ class Landscape:
         0.13; ridges have the exact height of the surface. Raises `InputError` if no terrain is
         visible.
         """
-        curvature = Curvature()
+        curvature = terrain.frame.curvature
         turn_deg = terrain.frame.convergence_deg(easting_m=eye.easting_m, northing_m=eye.northing_m)
         grid_rad = np.radians(azimuth_deg - turn_deg)
         steps_m = _steps_m(terrain, eye, math.radians(azimuth_deg[1] - azimuth_deg[0]))

@@ -104,7 +104,7 @@ def build_places(
     StoreMismatchError
         The store at ``path``, or a part of it, was built from another DEM or with other settings.
     """
-    plan = PlacePlan(spacing_m, bounds_deg, places, curvature or Curvature())
+    plan = PlacePlan(spacing_m, bounds_deg, places, curvature or terrain.frame.curvature)
     return build_store(read_dem(terrain), path, plan, progress=progress)
 
 

@@ -3,6 +3,7 @@
 import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,11 +18,12 @@ from skyline.photo.read import read_skyline
 from skyline.photo.skyline import PhotoSkyline
 from skyline.pose import NotedPose, Pose
 from skyline.pose_file import read_pose
+from skyline.sun import Body, Sky
 from skyline.tasks.listener import Listener
 from skyline.tasks.orient import CameraAt
 from skyline.terrain.dem import read_dem
 from skyline.terrain.provenance import DemOptions
-from skyline.view import SeenPeak, UnseenPeaks, Viewer
+from skyline.view import SeenBody, SeenPeak, UnseenPeaks, Viewer
 
 if TYPE_CHECKING:
     from skyline.report.labels import UnnamedPeaks
@@ -31,6 +33,7 @@ LABEL_FILES = {".png": "png", ".jpg": "jpeg", ".jpeg": "jpeg", ".svg": "svg", ".
 _MOST_NAMES = 20
 """Names that a line gives of the peaks that are missing for one reason."""
 _COLUMNS = ("name", "column_px", "row_px", "distance_m", "elevation_m")
+_BODY_COLUMNS = ("name", "column_px", "row_px", "azimuth_deg", "elevation_deg", "is_hidden")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,6 +58,8 @@ class LabelTask:
     """By default that of the pose, else of the photo."""
     ridges: bool = False
     """Whether the skyline of the elevation model is drawn, too."""
+    time: datetime | None = None
+    """When the photo was taken, to draw the sun and the moon; UTC."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +102,8 @@ def label_photo(task: LabelTask, listener: Listener) -> list[str]:
         camera = _camera_of(task, photo, noted, viewer, listener)
         with listener.slow("looking for summits"):
             seen = viewer.summits(camera.pose, photo)
-            unnamed = _write(task, picture.rgb, photo, camera, seen, viewer)
+            bodies = _bodies(task, camera.pose, photo, viewer, listener)
+            unnamed = _write(task, picture.rgb, photo, camera, seen, bodies, viewer)
             unseen = viewer.unseen(camera.pose, photo, seen)
     return [f"{len(seen)} of {len(gazetteer)} peaks are seen", *_missing(unnamed, unseen)]
 
@@ -155,12 +161,29 @@ def shown_pose(noted: NotedPose, viewer: Viewer, listener: Listener) -> Pose:
     return pose
 
 
+def _bodies(
+    task: LabelTask, pose: Pose, photo: PhotoSkyline, viewer: Viewer, listener: Listener
+) -> list[SeenBody]:
+    """Return the sun and the moon in a photo; a note says where the others are."""
+    if task.time is None:
+        return []
+    found = viewer.bodies(pose, photo, task.time)
+    for body in set(Body) - {one.name for one in found}:
+        disc = Sky(pose.lon, pose.lat, pose.eye_elevation_m).look(Body(body), task.time)
+        listener.note(
+            f"the {body} is outside the photo, at azimuth {disc.azimuth_deg:.1f} and elevation "
+            f"{disc.elevation_deg:.1f} degrees"
+        )
+    return found
+
+
 def _write(
     task: LabelTask,
     rgb: UInt8Array,
     photo: PhotoSkyline,
     camera: _HeldCamera,
     seen: list[SeenPeak],
+    bodies: list[SeenBody],
     viewer: Viewer,
 ) -> "UnnamedPeaks":
     """Write the file; return the peaks in view without their names."""
@@ -172,11 +195,12 @@ def _write(
     if kind == "json":
         unsure = {} if confidence is None else {"confidence": confidence}
         records = [{name: getattr(one, name) for name in _COLUMNS} | unsure for one in seen]
+        records += [{name: getattr(one, name) for name in _BODY_COLUMNS} for one in bodies]
         write_whole(task.output, json.dumps(records, indent=1) + "\n")
         return UnnamedPeaks()
     sight = viewer.look(camera.pose, photo) if task.ridges else None
     if confidence is not None:
         seen = [one.doubted(confidence) for one in seen]
-    picture, unnamed = draw_labels(photo, rgb, seen, sight, kind)
+    picture, unnamed = draw_labels(photo, rgb, seen, sight, kind, bodies)
     write_whole(task.output, picture)
     return unnamed

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING
 from skyline.arrays import Float32Array
 from skyline.errors import InputError
 from skyline.geodesy.bounds import degrees_in_words, in_turn
-from skyline.geodesy.crs import is_metric, is_upright, off_area_deg, to_wgs84
+from skyline.geodesy.crs import is_metric, is_of_earth, is_upright, off_area_deg, to_wgs84
 from skyline.geodesy.map_frame import Frame
 from skyline.terrain.grid import Grid
 from skyline.terrain.lazy_heights import Blocks, LazyHeights
 from skyline.terrain.provenance import DemOptions, Provenance
-from skyline.terrain.repair import repair
+from skyline.terrain.repair import ABSURD_M, RepairRules, repair
 from skyline.terrain.resampling import Warp, ground_spacing_m, square_spacing_m
 
 if TYPE_CHECKING:
@@ -78,13 +78,14 @@ def metric_dem(mosaic: "Mosaic", options: DemOptions) -> MetricDem:
     lon, lat, accuracy = _centre(mosaic)
     frame = _map_frame(mosaic)
     source = None
+    rules = RepairRules() if is_of_earth(crs) else RepairRules(ground_m=(-ABSURD_M, ABSURD_M))
     if frame is not None:
         resampling = "none"
-        counts = repair(heights_m, mosaic.source, max(grid.step_east, grid.step_north))
+        counts = repair(heights_m, mosaic.source, max(grid.step_east, grid.step_north), rules)
     else:
-        frame = Frame.local(lon=float(in_turn(lon)), lat=lat)
+        frame = Frame.local(lon=float(in_turn(lon)), lat=lat, world=crs)
         ground_spacing = ground_spacing_m(grid, crs, frame)
-        counts = repair(heights_m, mosaic.source, max(ground_spacing))
+        counts = repair(heights_m, mosaic.source, max(ground_spacing), rules)
         spacing_m = square_spacing_m(ground_spacing)
         resampling = (
             f"cubic, once, all summits kept, from {crs.name} ({ground_spacing[0]:.2f} x "
@@ -108,7 +109,7 @@ def _centre(mosaic: "Mosaic") -> tuple[float, float, str]:
     """Return a DEM's middle in degrees, and its accuracy in words.
 
     Warns where the middle lies far off the area of the CRS; raises `InputError` where it is no
-    place on the Earth.
+    place on its world.
     """
     crs = mosaic.crs
     x, y = mosaic.grid.centre

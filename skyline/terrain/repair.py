@@ -61,6 +61,8 @@ class RepairRules:
     """Least number of samples on the rim of fill, and of walls beside a value that may be fill."""
     wall_reach_samples: int = 3
     """Greatest distance of a wall from the rim, in samples: cubic resampling spreads a wall."""
+    ground_m: tuple[float, float] = GROUND_M
+    """Lowest and highest ground of the world; a warning tells of heights beyond."""
     strip_samples: int = STRIP_SAMPLES
     """Samples of a strip of rows; more cost memory, and change nothing else."""
 
@@ -123,14 +125,14 @@ def _check_range(heights_m: Float32Array, source: str, rules: RepairRules) -> No
             f"{source} holds no height: all samples are nodata or beyond {ABSURD_M:.0f} m; check "
             "the file and its nodata value"
         )
-    if highest_m > GROUND_M[1]:
+    if highest_m > rules.ground_m[1]:
         _log.warning(
             "%s has heights of up to %.0f m, more than any ground on Earth; name the unit of its "
             "heights, or its nodata value (rio edit-info)",
             source,
             highest_m,
         )
-    if lowest_m < GROUND_M[0]:
+    if lowest_m < rules.ground_m[0]:
         _log.warning(
             "%s has heights down to %.0f m, the bed of a sea, which is taken for ground; set what "
             "lies under water to the height of its surface (gdal_calc.py)",

@@ -211,14 +211,16 @@ def check_eye_elevation(eye_elevation_m: float, ground_m: float) -> None:
     """Raise an error if an eye's elevation is impossible.
 
     ``ground_m`` is the elevation of the lowest ground where the eye may stand. Raises `InputError`
-    outside -500 to 20,000 m, and `OffMapError` more than 200 m below the ground: vertical datums
+    outside -500 to 20,000 m (or 200 m below the ground to 1,000 m above it, on worlds where that is
+    lower or higher), and `OffMapError` more than 200 m below the ground: vertical datums
     differ by up to 100 m, and models err as much beside cliffs.
     """
-    lowest_m = GROUND_M[0]
-    if not lowest_m <= eye_elevation_m <= HIGHEST_EYE_M:
+    lowest_m = min(GROUND_M[0], ground_m - 200.0)
+    highest_m = max(HIGHEST_EYE_M, ground_m + 1000.0)
+    if not lowest_m <= eye_elevation_m <= highest_m:
         raise InputError(
             f"the eye's elevation is {eye_elevation_m:g} m; expected metres above the DEM's datum, "
-            f"{lowest_m:g} to {HIGHEST_EYE_M:g}"
+            f"{lowest_m:g} to {highest_m:g}"
         )
     if eye_elevation_m < ground_m - 200.0:
         raise OffMapError(

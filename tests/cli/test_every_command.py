@@ -29,6 +29,7 @@ COMMANDS = {
     "match": (("{store}", "{trace}", "--matcher", "unrefined"), "tasks.match.Matcher"),
     "label": ((*POSED, "--peaks", "{peaks}", "-o", "{out}.png"), "tasks.label.read_dem"),
     "pixels": ((*POSED, "--step", "40", "-o", "{out}.npz"), "tasks.pixels.read_dem"),
+    "when": ((*POSED, "--time", "2026-06-21T12:00Z", "--sun", "1,1", "-q"), "tasks.when.read_dem"),
     "orient": (("{trace}", *PLACED, "-o", "{out}.csv"), "orient.read_terrain"),
     "locate": (
         ("{photo}", "--near", "{at},1", *IN_DEM, "--report", "{out}"),

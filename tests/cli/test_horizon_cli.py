@@ -161,6 +161,21 @@ def test_the_sun_comes_and_goes(run, dem, places):
     assert rows
     assert all(row["from_utc"] < row["to_utc"] for row in rows)
     assert rows[0]["from_utc"].startswith("2026-06-21T")
+    assert {row["body"] for row in rows} == {"sun", "moon"}
+    # It rises in the east and sets in the west.
+    assert 0.0 < float(rows[0]["from_azimuth_deg"]) < 180.0 < float(rows[0]["to_azimuth_deg"])
+
+
+def test_places_are_given_from_which_the_sun_is_over_a_summit(run, dem, places):
+    terrain = read_dem([dem])
+    row, col = np.unravel_index(np.nanargmax(terrain.heights_m), terrain.heights_m.shape)
+    lon, lat = lonlat_of(dem, *terrain.to_map(row, col))
+    common = "sun", dem, "--at", f"{lon},{lat}", "--date", "2026-12-21"
+    rows = table(run(*common, "--over", f"{lon},{lat}", "--within", 2).ok().out)
+    assert list(rows[0])[:4] == ["time_utc", "lon", "lat", "distance_m"]
+    # In December the sun is in the south at noon, so one stands in the north.
+    noon = min(rows, key=lambda one: abs(float(one["azimuth_deg"]) - 180.0))
+    assert float(noon["lat"]) > lat
 
 
 def test_a_panorama_with_geojson_peaks(run, dem, places, tmp_path):

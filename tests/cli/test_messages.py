@@ -110,6 +110,7 @@ def test_a_warning_looks_like_an_error(capsys):
         root.handlers = kept
 
 
+WHEN = "when {photo} --pose {pose} --dem {dem}"
 MISTAKES = [
     # Build and render
     ("render {dem} -o {out}", "give one of --viewpoints FILE.csv, --spacing M"),
@@ -273,8 +274,21 @@ MISTAKES = [
         "would hold 2 horizons, but .txt holds one",
     ),
     ("horizon {tmp}/no.tif --at 9,46 --step-deg 7", "a divisor of 360"),
+    (f"{WHEN} --date 2026-06-21", "give one of --sun COLUMN,ROW"),
+    (f"{WHEN} --date 2026-06-21 --sun 1,1 --moon 1,1", "give one of --sun COLUMN,ROW"),
+    (f"{WHEN} --sun 1,1", "give --date YYYY-MM-DD for the time of day, or --time"),
+    (f"{WHEN} --date 2026-06-21 --sun 1,x", "--sun is `1,x`; expected 2 numbers"),
+    (f"{WHEN} --date 2026-06-21 --shadow 1,1", "expected 4 or 6 numbers"),
+    (f"{WHEN} --date 2026-06-21 --sun 9999,1", "is outside the photo of"),
+    (f"{WHEN} --date 2026-06-21 --shadow 1,1,2,2", "shows sky at this pose"),
+    (f"{WHEN} --date 2026-12-01 --sun 1,1", "does not stand there on 2026-12-01"),
+    (f"{WHEN} --time 2026-12-01 --sun 1,1", "expected a day and a time"),
+    (f"{WHEN} --time 2026-12-01T22:00Z --sun 1,1", "degrees below the horizon at 2026-12-01 22:00"),
     ("sun {dem} --at {at} --date 21.6.", "expected a day such as"),
     ("sun {dem} --at {at} --date 0001-01-01", "expected a day such as"),
+    ("sun {dem} --at {at} --date 2026-06-21 --over 46", "--over is `46`; expected LON,LAT"),
+    ("sun {dem} --at {at} --date 2026-06-21 --over 0,0", "a DEM that reaches to it"),
+    ("sun {dem} --at {at} --date 2026-06-21 --within 0", "expected kilometres above 0"),
     ("panorama {dem} --at {at} -o {tmp}/p.svg --fov-deg 2", "expected a field of view of 5 to 360"),
     ("panorama {dem} --at {at} -o {tmp}/p.svg --peaks {photo}", "cannot be read"),
     # Outputs of another format

@@ -149,12 +149,6 @@ class TestRasters:
             (ONES, {"crs": "EPSG:4978"}, None, "Geocentric"),
             (ONES, {"transform": Affine(30.0, 5.0, 0.0, 5.0, -30.0, 0.0)}, None, "gdalwarp"),
             (
-                ONES,
-                {"transform": from_origin(10.0, 10.0, 0.01, 0.01), "crs": "IAU_2015:30100"},
-                None,
-                "Moon",
-            ),
-            (
                 np.full((4, 4), -9999.0, np.float32),
                 {"nodata": -9999.0},
                 None,

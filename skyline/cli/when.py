@@ -1,0 +1,115 @@
+"""``skyline when``: the time of a photo by its sun or a shadow, or its heading."""
+
+import json
+import math
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from typer import Option
+
+from skyline.cli.options import AsJson, Crs, Dem
+from skyline.cli.photo_options import POSE, PhotoFile, PhotoProjection
+from skyline.cli.terminal import Terminal
+from skyline.errors import InputError
+from skyline.geodesy.bounds import in_turn
+from skyline.sun import Body, day_of, time_of
+from skyline.tasks.when import Told, WhenTask, pixels_of, tell_when
+
+_PIXEL = "COLUMN,ROW"
+
+
+def when(
+    context: typer.Context,
+    photo: PhotoFile,
+    pose: Annotated[Path, POSE],
+    dem: Dem,
+    day: Annotated[
+        str | None,
+        Option("--date", metavar="YYYY-MM-DD", help="The day: the time of day is found."),
+    ] = None,
+    time: Annotated[
+        str | None,
+        Option(metavar="TIME", help="The time, as 2026-12-21T15:04Z: the heading is found."),
+    ] = None,
+    sun: Annotated[
+        str | None, Option(metavar=_PIXEL, help="The pixel in the middle of the sun.")
+    ] = None,
+    moon: Annotated[
+        str | None, Option(metavar=_PIXEL, help="The pixel in the middle of the moon's disc.")
+    ] = None,
+    shadow: Annotated[
+        str | None,
+        Option(
+            metavar="TIP,FOOT[,TOP]",
+            help="A shadow of something upright: column and row of the shadow's tip, of the foot "
+            "of what casts it, and maybe of its top.",
+        ),
+    ] = None,
+    as_json: AsJson = False,
+    projection: PhotoProjection = None,
+    crs: Crs = None,
+) -> None:
+    """Tell when a photo was taken, by its sun, its moon or a shadow.
+
+    With the time in place of the day, tell the camera's heading. Each answer has
+    its standard error. The extra `sun` is needed.
+    """
+    terminal = Terminal.of(context)
+    given = {"--sun": sun, "--moon": moon, "--shadow": shadow}
+    marks = {name: text for name, text in given.items() if text is not None}
+    if len(marks) != 1:
+        raise InputError("give one of --sun COLUMN,ROW, --moon COLUMN,ROW and --shadow TIP,FOOT")
+    if (day is None) == (time is None):
+        raise InputError("give --date YYYY-MM-DD for the time of day, or --time for the heading")
+    ((name, text),) = marks.items()
+    task = WhenTask(
+        photo=photo,
+        pose=pose,
+        dem=dem,
+        crs=crs,
+        marked=pixels_of(text, name, (2, 3) if name == "--shadow" else (1,)),
+        body=Body.MOON if name == "--moon" else Body.SUN,
+        known=time_of(time) if time is not None else day_of(str(day)),
+        projection=projection,
+    )
+    told = tell_when(task, terminal)
+    if as_json:
+        terminal.line(json.dumps(_record(told)))
+        return
+    for line in _lines(told):
+        terminal.line(line)
+
+
+def _lines(told: Told) -> list[str]:
+    """Return the answer in words."""
+    if told.heading is None:
+        return [
+            f"{one.time:%Y-%m-%d %H:%M:%S} UTC, give or take {one.sd_s / 60.0:.1f} minutes: "
+            f"azimuth {one.azimuth_deg:.2f}, elevation {one.elevation_deg:.2f} degrees, "
+            f"{one.off_sds:.1f} standard errors aside"
+            for one in told.times
+        ]
+    found = told.heading
+    apart_deg = float(in_turn(told.pose.heading_deg - found.heading_deg))
+    sds = abs(apart_deg) / math.hypot(found.sd_deg, told.errors.heading_sd_deg)
+    higher = (
+        ""
+        if math.isnan(found.above_deg)
+        else f"; it stands {found.above_deg:.2f} degrees above its pixel"
+    )
+    return [
+        f"heading {found.heading_deg:.2f} +- {found.sd_deg:.2f} from true north; the pose's is "
+        f"{told.pose.heading_deg:.2f}, {sds:.1f} standard errors away{higher}"
+    ]
+
+
+def _record(told: Told) -> dict[str, Any]:
+    """Return the answer as JSON has it."""
+    if told.heading is None:
+        times = [asdict(one) | {"time": f"{one.time:%Y-%m-%dT%H:%M:%SZ}"} for one in told.times]
+        return {"times": times}
+    found = told.heading
+    above = None if math.isnan(found.above_deg) else found.above_deg
+    return {"heading_deg": found.heading_deg, "heading_sd_deg": found.sd_deg, "above_deg": above}

@@ -1,0 +1,121 @@
+"""Telling when a photo was taken, or its heading, by the sun or the moon."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from datetime import date, datetime
+from pathlib import Path
+
+from skyline.camera import Projection
+from skyline.errors import InputError
+from skyline.geodesy.earth import Curvature
+from skyline.photo.photo import read_photo
+from skyline.pose import Pose
+from skyline.pose_file import ANGLE_SDS, angle_sds_in, read_pose
+from skyline.sun import Body, Sky
+from skyline.sun_clock import (
+    ClockTime,
+    Pixel,
+    PointingErrors,
+    SunHeading,
+    body_pointing,
+    heading_at,
+    shadow_pointing,
+    times_at,
+)
+from skyline.tasks.label import shown_pose
+from skyline.tasks.listener import Listener
+from skyline.terrain.dem import read_dem
+from skyline.terrain.provenance import DemOptions
+from skyline.view import Viewer
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WhenTask:
+    """A photo with its pose, where it shows the sun or the moon, and what is known of the time."""
+
+    photo: Path
+    pose: Path
+    """File of the pose."""
+    dem: Sequence[str]
+    """Elevation files, or folders of them."""
+    crs: str | None = None
+    """CRS of elevation files that name none."""
+    marked: tuple[Pixel, ...]
+    """The middle of a disc; or a shadow's tip and foot, and maybe the top of what casts it."""
+    body: Body = Body.SUN
+    known: date | datetime
+    """The day for which the time is asked; or the time for which the heading is asked."""
+    projection: Projection | None = None
+    """By default from the photo."""
+
+
+@dataclass(frozen=True, slots=True)
+class Told:
+    """What the sun or the moon tells of a photo: its times, or its heading.
+
+    Attributes
+    ----------
+    pose : Pose
+        As it was given.
+    errors : PointingErrors
+        Standard errors of the pose.
+    times : list of ClockTime
+        The likeliest first; empty if the time was given.
+    heading : SunHeading or None
+        None if the day was given.
+    """
+
+    pose: Pose
+    errors: PointingErrors
+    times: list[ClockTime]
+    heading: SunHeading | None = None
+
+
+def tell_when(task: WhenTask, listener: Listener) -> Told:
+    """Return the times of a day at which a photo was taken, or its heading at a time.
+
+    Raises `InputError` where the photo or its pose cannot be read, a pixel is of no use, or the
+    body does not stand there; `OffMapError` for a pose off the map.
+    """
+    photo = read_photo(task.photo, projection=task.projection).blank
+    noted = read_pose(task.pose, task.photo, photo.projection)
+    sds = angle_sds_in(task.pose, task.photo)
+    errors = PointingErrors(**sds)
+    with listener.slow("reading the elevation model"):
+        terrain = read_dem(task.dem, DemOptions(crs=task.crs))
+    with Viewer(terrain) as viewer:
+        pose = shown_pose(noted, viewer, listener)
+    # At a known time the heading is asked for: the heading that was given tells nothing.
+    is_timed = isinstance(task.known, datetime)
+    used = replace(errors, heading_sd_deg=0.0) if is_timed else errors
+    if len(task.marked) == 1:
+        pointing = body_pointing(pose, photo, task.marked[0], used)
+    else:
+        pointing = shadow_pointing(terrain, Curvature(), pose, photo, task.marked, used)
+    sky = Sky(pose.lon, pose.lat, pose.eye_elevation_m)
+    if isinstance(task.known, datetime):
+        told = Told(pose, errors, [], heading_at(pose, pointing, sky, task.body, task.known))
+    else:
+        told = Told(pose, errors, times_at(pointing, sky, task.body, task.known, pose.lon))
+    if missing := [name for name in ANGLE_SDS if name not in sds]:
+        assumed = ", ".join(f"{name} {getattr(errors, name):g}" for name in missing)
+        listener.note(f"{task.pose} lacks standard errors; taken are {assumed}")
+    return told
+
+
+def pixels_of(given: str, option: str, counts: tuple[int, ...]) -> tuple[Pixel, ...]:
+    """Return pixels from ``COLUMN,ROW,...``.
+
+    Raises `InputError` unless as many pixels are given as one of ``counts``.
+    """
+    error = (
+        f"{option} is `{given}`; expected {' or '.join(str(2 * count) for count in counts)} "
+        "numbers, COLUMN,ROW of each pixel"
+    )
+    try:
+        numbers = [float(part) for part in given.split(",")]
+    except ValueError:
+        raise InputError(error) from None
+    if len(numbers) % 2 or len(numbers) // 2 not in counts:
+        raise InputError(error)
+    return tuple(zip(numbers[::2], numbers[1::2], strict=True))

@@ -1,0 +1,46 @@
+"""``skyline when`` and ``label --time``: the sun in a photo, there and back."""
+
+import json
+from datetime import datetime
+
+import pytest
+from commands import csv_of
+
+TIME = "2026-01-10T08:50:00+00:00"
+
+
+@pytest.fixture
+def label(run, dem, photo, pose, tmp_path):
+    """Return a function that labels a photo with its sun, and returns the file."""
+    peaks = csv_of(tmp_path / "peaks.csv", ["Top,601800,5178000"], "name,easting,northing")
+
+    def labelled(name):
+        options = "--pose", pose, "--dem", dem, "--peaks", peaks, "--time", TIME
+        done = run("label", photo, *options, "-o", tmp_path / name).ok()
+        assert "the moon is outside the photo, at azimuth" in done.err
+        return tmp_path / name
+
+    return labelled
+
+
+def test_the_sun_is_drawn_into_a_photo(label):
+    assert "#ffd23f" in label("sun.svg").read_text()
+
+
+def test_the_sun_in_a_photo_gives_back_the_time_and_the_heading(run, dem, photo, pose, label):
+    sun = json.loads(label("sun.json").read_text())[-1]
+    assert sun["name"] == "sun"
+    assert 100.0 < sun["azimuth_deg"] < 180.0
+    common = "when", photo, "--pose", pose, "--dem", dem
+    pixel = "--sun", f"{sun['column_px']},{sun['row_px']}"
+    done = run(*common, *pixel, "--date", TIME[:10], "--json").ok()
+    (found,) = json.loads(done.out)["times"]
+    off = datetime.fromisoformat(found["time"]) - datetime.fromisoformat(TIME)
+    assert abs(off.total_seconds()) < 2.0
+    assert 10.0 < found["sd_s"] < 200.0
+    assert "lacks standard errors; taken are heading_sd_deg 0.3" in done.err
+    assert "give or take" in run(*common, *pixel, "--date", TIME[:10]).ok().out
+    turned = json.loads(run(*common, *pixel, "--time", TIME, "--json").ok().out)
+    heading_deg = json.loads(pose.read_text())["heading_deg"]
+    assert turned["heading_deg"] == pytest.approx(heading_deg, abs=0.01)
+    assert "0.0 standard errors away" in run(*common, *pixel, "--time", TIME).ok().out
