@@ -215,7 +215,9 @@ class Orientation:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the orientation as ``skyline orient --json`` prints it."""
-        return self.to_row() | {"wander": [] if self.pose is None else list(self.pose.wander)}
+        pose = {} if self.pose is None else self.pose.to_dict()
+        lists = {"wander": pose.get("wander", ()), "covariance": pose.get("covariance")}
+        return self.to_row() | lists
 
     def to_dataframe(self) -> Any:
         """Return the orientation as a pandas DataFrame of one row."""
