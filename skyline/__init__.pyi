@@ -11,6 +11,10 @@ from .errors import StoreError as StoreError
 from .errors import StoreMismatchError as StoreMismatchError
 from .geodesy.earth import Curvature as Curvature
 from .geodesy.map_frame import Frame as Frame
+from .ground import GroundErrors as GroundErrors
+from .ground import GroundPixels as GroundPixels
+from .ground import GroundPoints as GroundPoints
+from .ground import GroundView as GroundView
 from .horizons import LocalHorizons as LocalHorizons
 from .horizons import horizon as horizon
 from .location import locate as locate

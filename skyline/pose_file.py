@@ -3,7 +3,7 @@
 import json
 from contextlib import suppress
 from dataclasses import replace
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any
 
 from skyline.camera import Projection
@@ -18,9 +18,11 @@ def read_pose(path: Path, photo: Path, projection: Projection) -> NotedPose:
 
     A file of several photos has the pose in the line that names the photo. Of a match it is the
     answer, else the best candidate. Raises `MissingFileError` where there is no file, and
-    `InputError` where it has no such pose, or values that no camera of the projection has.
+    `InputError` where it has no such pose, the pose of a photo of another name, or values that no
+    camera of the projection has.
     """
     record = _record_of(_records_in(path), path, photo)
+    _check_photo(record, path, photo)
     doubt = ""
     if isinstance(record, dict) and isinstance(record.get("candidates"), list):
         candidates = record["candidates"]
@@ -35,6 +37,16 @@ def read_pose(path: Path, photo: Path, projection: Projection) -> NotedPose:
         # An orientation has its eye's elevation, and also the height that follows from it.
         record = {**record, "eye_height_m": None}
     return replace(NotedPose.from_dict(record, projection, f"pose {path}"), doubt=doubt)
+
+
+def _check_photo(record: Any, path: Path, photo: Path) -> None:
+    """Raise `InputError` for the record of a photo of another name."""
+    named = record.get("photo") if isinstance(record, dict) else None
+    if named and PurePath(str(named)).name != PurePath(printable(photo)).name:
+        raise InputError(
+            f"pose {path} is of {printable(str(named))}, not of {photo}; give the pose of this "
+            "photo, or remove `photo` from the record if a fixed camera took both"
+        )
 
 
 def _records_in(path: Path) -> list[Any]:

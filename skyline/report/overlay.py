@@ -12,12 +12,14 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 
 from skyline.arrays import UInt8Array
+from skyline.ground_shapes import PhotoShape
 from skyline.photo.skyline import PhotoSkyline
 from skyline.pose import Pose
 from skyline.report.labels import UnnamedPeaks, encode_figure, labels_of, place_labels
 from skyline.view import SeenPeak, Sight
 
 _RENDERED_COLOUR = "#00e0ff"
+_DRAWN_COLOUR = "#ffd21f"
 _DPI = 100.0
 _ROW_PX = 21.0
 """Height of a row of labels."""
@@ -84,6 +86,36 @@ def draw_labels(
     if sight is not None:
         axis.plot(sight.column_px, sight.row_px, color=_RENDERED_COLOUR, linewidth=1.0, alpha=0.6)
     return _encoded(figure, kind), unnamed
+
+
+def draw_shapes(
+    skyline: PhotoSkyline, photo: UInt8Array, shapes: Sequence[PhotoShape], kind: str = "png"
+) -> bytes:
+    """Draw shapes of the map over a photo, hidden parts dashed.
+
+    Parameters
+    ----------
+    photo : (H, W, 3) uint8
+        RGB, of the size of ``skyline``.
+    kind : str
+        As in `draw_labels`.
+
+    Returns
+    -------
+    bytes
+        The picture, the photo at most 1600 px wide and high.
+    """
+    figure, axis, _ = _draw_picture(skyline, photo, (), ())
+    for one in shapes:
+        for part, is_hidden in one.parts(skyline.width_px, skyline.height_px):
+            style: dict[str, Any] = {
+                "linestyle": "--" if is_hidden else "-",
+                "alpha": 0.6 if is_hidden else 1.0,
+            }
+            if len(part) == 1:
+                style = {"marker": "o", "fillstyle": "none" if is_hidden else "full"}
+            axis.plot(*part.T, color=_DRAWN_COLOUR, linewidth=2.0, path_effects=_HALO, **style)
+    return _encoded(figure, kind)
 
 
 def _encoded(figure: Figure, kind: str) -> bytes:

@@ -167,6 +167,12 @@ def make_files():
     shutil.copy("photo.jpg", "photos/a.jpg")
     Path("viewpoints.csv").write_text("lon,lat\n9.85,46.75\n")
     Path("peaks.csv").write_text("name,lon,lat\nGrat,9.87,46.72\n")
+    lake = [[400.0, 560.0], [460.0, 560.0], [460.0, 600.0]]
+    shapes = [{"label": "lake", "points": lake, "shape_type": "polygon"}]
+    size = {"imageWidth": 960, "imageHeight": 640}
+    Path("lake.json").write_text(json.dumps({"shapes": shapes, **size}))
+    points = '<trkpt lon="9.855" lat="46.745"/><trkpt lon="9.87" lat="46.73"/>'
+    Path("tour.gpx").write_text(f"<gpx><trk><trkseg>{points}</trkseg></trk></gpx>")
     trees = np.where(fractal(_PER_DEGREE, _PER_DEGREE, seed=6) > 0.0, 20.0, 0.0)
     Path("canopy.tif").write_bytes(degree_tile(trees.astype(np.float32), 9, 46))
 

@@ -23,6 +23,7 @@ WRONG = {
     f"orient {{photo}} {PLACED} -o new.json": "orient.read_terrain",
     f"label {POSED} --peaks {{peaks}} -o new.gif": "tasks.label.read_dem",
     f"pixels {POSED} -o new.csv": "tasks.pixels.read_dem",
+    f"draw {POSED} --vectors {{photo}} -o new.csv": "tasks.draw.read_vectors",
     "match {store} {photo} --export new.csv": "tasks.match.Matcher",
     "match {store} {photo} --results new.json": "tasks.match.Matcher",
     "match {store} {photo} --report new.html": "tasks.match.Matcher",
