@@ -662,3 +662,18 @@ class Camera:
             np.concatenate([by_heading, by_azimuth], axis=1),
             np.concatenate([0.0 * by_heading, by_tangent], axis=1),
         )
+
+    def spans(self, column_px: ArrayLike, row_px: ArrayLike) -> Float64Array:
+        """Return how the directions of N pixels change from pixel to pixel.
+
+        Derivatives (N, 2, 2) of the azimuth, radians, and of the tangent of elevation, by a column
+        to the right and by a row down.
+        """
+        column, row = np.broadcast_arrays(
+            np.asarray(column_px, dtype=np.float64), np.asarray(row_px, dtype=np.float64)
+        )
+        before, after = (
+            self.directions(np.stack([column + side, column]), np.stack([row, row + side]))
+            for side in (-0.5, 0.5)
+        )
+        return np.stack([np.radians(after[0] - before[0]).T, (after[1] - before[1]).T], axis=1)

@@ -252,17 +252,11 @@ class GroundView:
     ) -> tuple[Float64Array, Float64Array]:
         """Return the changes (N, P + 2) of rays' azimuths and tangents, by pose and by pixel."""
         turned, lifted = self.camera.changes(column_px, row_px)
-        before, after = (
-            self.camera.directions(
-                np.stack([column_px + side, column_px]), np.stack([row_px, row_px + side])
-            )
-            for side in (-0.5, 0.5)
-        )
+        by_pixel = self.camera.spans(column_px, row_px)
         still = np.zeros((len(turned), _ANGLES))
-        by_pixel = np.radians(after[0] - before[0]).T, (after[1] - before[1]).T
         return (
-            np.concatenate([still, turned, by_pixel[0]], axis=1),
-            np.concatenate([still, lifted, by_pixel[1]], axis=1),
+            np.concatenate([still, turned, by_pixel[:, 0]], axis=1),
+            np.concatenate([still, lifted, by_pixel[:, 1]], axis=1),
         )
 
     def _mean_slope(

@@ -171,7 +171,8 @@ def make_files():
     shapes = [{"label": "lake", "points": lake, "shape_type": "polygon"}]
     size = {"imageWidth": 960, "imageHeight": 640}
     Path("lake.json").write_text(json.dumps({"shapes": shapes, **size}))
-    points = '<trkpt lon="9.855" lat="46.745"/><trkpt lon="9.87" lat="46.73"/>'
+    corners = (9.78, 46.69), (9.92, 46.69), (9.92, 46.81), (9.78, 46.81), (9.78, 46.69)
+    points = "".join(f'<trkpt lon="{lon}" lat="{lat}"/>' for lon, lat in corners)
     Path("tour.gpx").write_text(f"<gpx><trk><trkseg>{points}</trkseg></trk></gpx>")
     trees = np.where(fractal(_PER_DEGREE, _PER_DEGREE, seed=6) > 0.0, 20.0, 0.0)
     Path("canopy.tif").write_bytes(degree_tile(trees.astype(np.float32), 9, 46))
