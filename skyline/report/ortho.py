@@ -133,14 +133,14 @@ def lay(view: GroundView, picture: NDArray[Any], grid: Grid) -> Laid:
     found = view.pixels(east_m.ravel(), north_m.ravel())
     column, row = (one.reshape(shape) for one in (found.column_px, found.row_px))
     height_px, width_px = picture.shape[:2]
-    longest_m, shortest_m = _pixel_lengths_m(column, row, grid.cell_m)
+    longest_m = _pixel_lengths_m(column, row, grid.cell_m)
     with np.errstate(invalid="ignore"):
         seen = ~found.is_hidden.reshape(shape) & (longest_m <= _SETTINGS.coarsest * grid.cell_m)
         seen &= (column >= 0.0) & (column <= width_px - 1.0)
         seen &= (row >= 0.0) & (row <= height_px - 1.0)
     values = np.zeros((*shape, picture.shape[2]), dtype=picture.dtype)
     with np.errstate(divide="ignore", invalid="ignore"):
-        level = np.nan_to_num(np.log2(grid.cell_m / shortest_m))
+        level = np.nan_to_num(np.log2(grid.cell_m / longest_m))
     level = np.clip(np.rint(level), 0, _SETTINGS.levels).astype(int)
     halved = picture
     for number in range(int(level[seen].max(initial=0)) + 1):
@@ -148,12 +148,9 @@ def lay(view: GroundView, picture: NDArray[Any], grid: Grid) -> Laid:
             halved = cv2.pyrDown(halved)
         chosen = seen & (level == number)
         if chosen.any():
-            # A halved picture's pixels begin where the picture does.
-            at = [
-                ((one[chosen] + 0.5) / 2**number - 0.5).astype(np.float32) for one in (column, row)
-            ]
-            sampled = _sampled(halved, *at)
-            values[chosen] = sampled
+            # Pixel k of a halved picture lies over pixel 2 k.
+            at = [(one[chosen] / 2**number).astype(np.float32) for one in (column, row)]
+            values[chosen] = _sampled(halved, *at)
     return Laid(values, np.where(seen, longest_m, np.nan).astype(np.float32))
 
 
@@ -176,20 +173,17 @@ def _sampled(picture: NDArray[Any], column: Float32Array, row: Float32Array) -> 
     return np.asarray(found[: len(column)])
 
 
-def _pixel_lengths_m(
-    column: Float64Array, row: Float64Array, cell_m: float
-) -> tuple[Float64Array, Float64Array]:
-    """Return the greatest and the least length of pixels on the ground, by cell."""
+def _pixel_lengths_m(column: Float64Array, row: Float64Array, cell_m: float) -> Float64Array:
+    """Return the greatest length of pixels on the ground, by cell."""
     if min(column.shape) < 2:
-        return np.full(column.shape, np.nan), np.full(column.shape, np.nan)
+        return np.full(column.shape, np.nan)
     a, b = np.gradient(column, cell_m)
     c, d = np.gradient(row, cell_m)
-    # Singular values of the pixels a metre.
+    # The least singular value of the pixels a metre.
     total, product = a**2 + b**2 + c**2 + d**2, np.abs(a * d - b * c)
     with np.errstate(invalid="ignore", divide="ignore"):
         root = np.sqrt(np.maximum(total**2 - 4.0 * product**2, 0.0))
-        most = np.sqrt((total + root) / 2.0)
-        return np.asarray(most / product), np.asarray(1.0 / most)
+        return np.asarray(np.sqrt((total + root) / 2.0) / product)
 
 
 def mosaic(laid: Sequence[Laid]) -> Laid:

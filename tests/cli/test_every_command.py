@@ -30,6 +30,7 @@ COMMANDS = {
     "label": ((*POSED, "--peaks", "{peaks}", "-o", "{out}.png"), "tasks.label.read_dem"),
     "pixels": ((*POSED, "--step", "40", "-o", "{out}.npz"), "tasks.pixels.read_dem"),
     "draw": ((*POSED, "--vectors", "{drawn}", "-o", "{out}.kml"), "tasks.draw.read_dem"),
+    "ortho": ((*POSED, "-o", "{out}.tif"), "tasks.ortho.read_dem"),
     "orient": (("{trace}", *PLACED, "-o", "{out}.csv"), "orient.read_terrain"),
     "locate": (
         ("{photo}", "--near", "{at},1", *IN_DEM, "--report", "{out}"),

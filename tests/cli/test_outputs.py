@@ -24,6 +24,8 @@ WRONG = {
     f"label {POSED} --peaks {{peaks}} -o new.gif": "tasks.label.read_dem",
     f"pixels {POSED} -o new.csv": "tasks.pixels.read_dem",
     f"draw {POSED} --vectors {{photo}} -o new.csv": "tasks.draw.read_vectors",
+    f"ortho {POSED} -o new.jpg": "tasks.ortho.read_dem",
+    f"orient {{photo}} {PLACED} --points {{peaks}} --residuals new.json": "tasks.points.read_dem",
     "match {store} {photo} --export new.csv": "tasks.match.Matcher",
     "match {store} {photo} --results new.json": "tasks.match.Matcher",
     "match {store} {photo} --report new.html": "tasks.match.Matcher",
