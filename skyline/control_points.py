@@ -496,7 +496,12 @@ class _Fit:
             covariance_m2=((east_m2, both_m2), (both_m2, north_m2)),
             covariance=tuple(map(tuple, covariance.tolist())),
         )
-        found = PointsFit(self.photo, pose, self.points, -residual, used, misfit, name=name)
+        azimuth, tan, _ = self.toward(state)
+        marked_px = np.stack([self.points.column_px, self.points.row_px], axis=1)
+        shown_px = np.stack(camera.pixels(np.degrees(azimuth), tan), axis=1)
+        # Ground behind the camera is in no pixel.
+        off_px = np.where(np.isfinite(shown_px), shown_px - marked_px, -residual)
+        found = PointsFit(self.photo, pose, self.points, off_px, used, misfit, name=name)
         return replace(found, refusal=_refusal_of(found))
 
 

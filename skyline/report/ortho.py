@@ -29,7 +29,7 @@ class OrthoSettings:
 
     most_cells: int = 25_000_000
     """A finer grid is made coarser."""
-    coarsest: float = 10.0
+    coarsest: float = 5.0
     """Pixels that are longer on the ground than so many cells are left out."""
     samples: int = 4000
     """Pixels of a photo by which its detail is estimated."""
