@@ -83,14 +83,14 @@ class Laid:
 def grid_of(views: Sequence[GroundView], resolution_m: float | None = None) -> Grid:
     """Return the grid that holds what cameras see.
 
-    By default its cells are as large as half of the pixels on the ground, or larger. Raises
-    `InputError` where no camera sees ground, and for a resolution that gives too many cells.
+    By default its cells are half as large as the median pixel is long on the ground, or larger.
+    Raises `InputError` where no camera sees ground, and for a resolution that is too fine.
     """
     seen = [_detail(view) for view in views]
-    place, side_m, length_m = (np.concatenate(part) for part in zip(*seen, strict=True))
-    if not len(side_m):
+    place, length_m = (np.concatenate(part) for part in zip(*seen, strict=True))
+    if not len(length_m):
         raise InputError("the photos show no ground of the DEM; check the poses and the DEM")
-    cell_m = resolution_m or float(np.median(side_m))
+    cell_m = resolution_m or float(np.median(length_m)) / 2.0
     while True:
         near = length_m <= _SETTINGS.coarsest * cell_m
         if not near.any():
@@ -113,8 +113,8 @@ def grid_of(views: Sequence[GroundView], resolution_m: float | None = None) -> G
         cell_m = coarser_m
 
 
-def _detail(view: GroundView) -> tuple[Float64Array, Float64Array, Float64Array]:
-    """Return places (N, 2) of some pixels, and their mean and greatest lengths on the ground."""
+def _detail(view: GroundView) -> tuple[Float64Array, Float64Array]:
+    """Return the places (N, 2) of some pixels, and their greatest lengths on the ground."""
     camera = view.camera
     step = max(1.0, math.sqrt(camera.width_px * camera.height_px / _SETTINGS.samples))
     row, column = np.mgrid[0 : camera.height_px : step, 0 : camera.width_px : step]
@@ -122,8 +122,7 @@ def _detail(view: GroundView) -> tuple[Float64Array, Float64Array, Float64Array]
     points = points[~points.is_sky]
     lengths_m = np.linalg.svd(points.by_pixel[:, :2], compute_uv=False)
     place = np.stack([points.easting_m, points.northing_m], axis=1)
-    greatest_m = np.asarray(lengths_m[:, 0], dtype=np.float64)
-    return place, np.asarray(np.sqrt(lengths_m.prod(axis=1)), dtype=np.float64), greatest_m
+    return place, np.asarray(lengths_m[:, 0], dtype=np.float64)
 
 
 def lay(view: GroundView, picture: NDArray[Any], grid: Grid) -> Laid:

@@ -1,5 +1,6 @@
 """Vectors of a photo laid on the map, and vectors of the map drawn into a photo."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +11,7 @@ from skyline.camera import Projection
 from skyline.errors import InputError, suffix_of
 from skyline.files import GEOJSON, check_outputs, on_disk, write_whole
 from skyline.ground import GroundErrors, GroundView
-from skyline.ground_shapes import GroundShape, in_photo, on_ground
+from skyline.ground_shapes import GroundShape, Measure, in_photo, on_ground
 from skyline.photo.photo import Photo, read_photo
 from skyline.pose_file import read_pose
 from skyline.report.vector_files import MAP_FILES, write_in_photo, write_on_map
@@ -150,14 +151,25 @@ def _lines(found: Sequence[GroundShape]) -> list[str]:
 
 def _in_words(one: GroundShape) -> str:
     vertices = one.vertices
-    error = f"+- {np.median(vertices.error_m):.3g} m"
+    error = f"+- {_rounded(float(np.median(vertices.error_m)))} m"
     if one.length is None:
         return (
             f"{vertices.distance_m[0]:.0f} m away, {vertices.elevation_m[0]:.0f} m high, "
             f"its place {error}"
         )
-    length = f"{one.length.value:.6g} +- {one.length.sd:.2g} m"
+    length = f"{_with_error(one.length)} m"
     if one.area is None:
         return f"{length} long, its vertices {error}"
-    area = f"{one.area.value:.6g} +- {one.area.sd:.2g} m2"
-    return f"{area}, {length} around, its vertices {error}"
+    return f"{_with_error(one.area)} m2, {length} around, its vertices {error}"
+
+
+def _with_error(measure: Measure) -> str:
+    """Return a figure and its standard error, rounded to two digits of the error."""
+    return f"{_rounded(measure.value, measure.sd)} +- {_rounded(measure.sd)}"
+
+
+def _rounded(value: float, error: float | None = None) -> str:
+    """Return a number rounded to two digits, or to two digits of its error."""
+    size = abs(value if error is None else error)
+    decimals = 1 - math.floor(math.log10(size)) if size > 0.0 else 2
+    return f"{round(value, decimals):.{max(decimals, 0)}f}"

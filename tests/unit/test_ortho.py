@@ -20,9 +20,11 @@ HILLS = field_from(
 )
 
 
-def view_of(heading_deg=0.0, north_m=-900.0, height_m=250.0):
+def view_of(heading_deg=0.0, north_m=-900.0, height_m=250.0, fov_deg=60.0):
     ground_m = float(HILLS.height_at(easting_m=0.0, northing_m=north_m))
-    pose = candidate_at(0.0, north_m, heading_deg, -15.0, 4.0, eye_elevation_m=ground_m + height_m)
+    pose = candidate_at(
+        0.0, north_m, heading_deg, -15.0, 4.0, fov_deg, eye_elevation_m=ground_m + height_m
+    )
     return Viewer(HILLS, curvature=Curvature(enabled=False)).ground_view(pose, PHOTO)
 
 
@@ -74,7 +76,7 @@ def test_a_pixel_is_as_long_on_level_ground_as_trigonometry_has_it():
 
 
 def test_the_grid_is_as_fine_as_the_photo_shows_the_ground():
-    coarse, fine = grid_of([view_of()]), grid_of([view_of(height_m=60.0)])
+    coarse, fine = grid_of([view_of()]), grid_of([view_of(fov_deg=30.0)])
     assert 0.5 < coarse.cell_m < 10.0
     assert fine.cell_m < coarse.cell_m
     with pytest.raises(InputError):
