@@ -13,6 +13,10 @@ from .geodesy.earth import Curvature as Curvature
 from .geodesy.map_frame import Frame as Frame
 from .grids import horizon_grid as horizon_grid
 from .grids import sky_view_grid as sky_view_grid
+from .ground import GroundErrors as GroundErrors
+from .ground import GroundPixels as GroundPixels
+from .ground import GroundPoints as GroundPoints
+from .ground import GroundView as GroundView
 from .horizons import LocalHorizons as LocalHorizons
 from .horizons import horizon as horizon
 from .location import locate as locate

@@ -639,3 +639,45 @@ class Camera:
             v = v + wandered(across, self.wander)
         turn, tangent = level(u, v, self.pitch_deg, self.roll_deg, self.projection)
         return np.degrees(turn) + self.grid_heading_deg, tangent
+
+    def changes(self, column_px: ArrayLike, row_px: ArrayLike) -> tuple[Float64Array, Float64Array]:
+        """Return how the directions of N pixels change with the camera.
+
+        Returns
+        -------
+        azimuth_change, tangent_change : (N, 4 + K) float64
+            Derivatives of the azimuth, radians, and of the tangent of elevation, by heading, pitch
+            and roll, radians, by the logarithm of the image's scale, and by K warps: the distortion
+            of a lens, K = 1, or the ways in which a panorama's rows wander, K = 4.
+        """
+        across, above = from_middle(column_px, row_px, self.width_px, self.height_px)
+        u, v = self.projection.rays(across, above, self.fov_deg)
+        points = ImagePoints(u=u, v=v, fov_deg=self.fov_deg, projection=self.projection)
+        warp: Sequence[float] = (self.distortion,)
+        if self.projection.is_panorama:
+            warp = self.wander or (0.0,) * len(WANDER_DEGREES)
+        pitch_rad, roll_rad = np.radians([[self.pitch_deg], [self.roll_deg]])
+        changes = points.levelled_with_changes(pitch_rad, roll_rad, np.zeros(1), np.array([warp]))[
+            2:
+        ]
+        by_azimuth, by_tangent = (one[0] for one in changes)
+        by_heading = np.ones((len(by_azimuth), 1))
+        return (
+            np.concatenate([by_heading, by_azimuth], axis=1),
+            np.concatenate([0.0 * by_heading, by_tangent], axis=1),
+        )
+
+    def spans(self, column_px: ArrayLike, row_px: ArrayLike) -> Float64Array:
+        """Return how the directions of N pixels change from pixel to pixel.
+
+        Derivatives (N, 2, 2) of the azimuth, radians, and of the tangent of elevation, by a column
+        to the right and by a row down.
+        """
+        column, row = np.broadcast_arrays(
+            np.asarray(column_px, dtype=np.float64), np.asarray(row_px, dtype=np.float64)
+        )
+        before, after = (
+            self.directions(np.stack([column + side, column]), np.stack([row, row + side]))
+            for side in (-0.5, 0.5)
+        )
+        return np.stack([np.radians(after[0] - before[0]).T, (after[1] - before[1]).T], axis=1)

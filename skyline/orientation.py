@@ -231,8 +231,9 @@ class Orientation:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the orientation as ``skyline orient --json`` prints it."""
-        wander = [] if self.pose is None else list(self.pose.wander)
-        return self.to_row() | {"projection": str(self.skyline.projection), "wander": wander}
+        pose = {} if self.pose is None else self.pose.to_dict()
+        lists = {"wander": pose.get("wander", ()), "covariance": pose.get("covariance")}
+        return self.to_row() | {"projection": str(self.skyline.projection)} | lists
 
     def to_dataframe(self) -> DataFrame:
         """Return the orientation as a pandas DataFrame of one row."""

@@ -42,11 +42,15 @@ _WRITTEN = (
     "easting_m", "northing_m", "lon", "lat", "eye_elevation_m", "radius_m", "heading_deg",
     "pitch_deg", "roll_deg", "fov_deg", "distortion", "wander", "cost", "confidence",
     "confidence_1km", "refined", "beyond_share", "residual_deg", "terrain_share", "skyline_m",
+    "covariance",
 )  # fmt: skip
 """What `Pose.to_dict` writes."""
 _NEEDED = ("lon", "lat", "heading_deg", "fov_deg")
 """What a record of a pose must have for `NotedPose.from_dict`."""
 _OPTIONAL = ("pitch_deg", "roll_deg", "distortion", "eye_elevation_m", "eye_height_m")
+_UNKNOWNS = (7, 8, 7 + len(WANDER_DEGREES))
+"""Numbers of rows that `Pose.covariance` may have: without a distortion, with it, and with a
+panorama's wander."""
 _MOST = {"pitch_deg": 90.0, "roll_deg": 180.0, "distortion": MOST_DISTORTION}
 """Greatest absolute values that a camera has."""
 EXPECTED_RECORD = (
@@ -92,8 +96,13 @@ class Pose:
     refined : bool
         Whether the pose was fitted by rendering.
     covariance_m2 : ((float, float), (float, float)) or None
-        Covariance of easting and northing, square metres. This and the next four are None for a
+        Covariance of easting and northing, square metres. This and the next five are None for a
         pose that was not refined.
+    covariance : tuple of tuple of float, or None
+        Covariance of all that was fitted to this photo: easting, northing and elevation of the eye,
+        metres; heading, pitch and roll, radians; the logarithm of the image's scale, which grows
+        with the field of view; and the distortion of a lens, unless it was taken for 0, or the
+        wander of a panorama.
     beyond_share : float or None
         Share of the photo's skyline in which terrain past the elevation model's edge may rise
         above the model's skyline.
@@ -126,6 +135,7 @@ class Pose:
     confidence_1km: float | None = None
     refined: bool = False
     covariance_m2: tuple[tuple[float, float], tuple[float, float]] | None = None
+    covariance: tuple[tuple[float, ...], ...] | None = None
     beyond_share: float | None = None
     residual_deg: float | None = None
     terrain_share: float | None = None
@@ -253,6 +263,8 @@ class NotedPose:
     eye_height_m : float or None
         Height of the camera above the ground, in place of its elevation. By default a person
         holds the camera.
+    covariance : tuple of tuple of float, or None
+        As in `Pose`.
     doubt : str
         Why the pose is not to be trusted; empty where its file does not doubt it.
     """
@@ -267,6 +279,7 @@ class NotedPose:
     wander: tuple[float, ...] = ()
     eye_elevation_m: float | None = None
     eye_height_m: float | None = None
+    covariance: tuple[tuple[float, ...], ...] | None = None
     doubt: str = ""
 
     @classmethod
@@ -322,7 +335,26 @@ class NotedPose:
                 f"{source} is of a panorama, and the photo counts as {projection}; give the "
                 "photo's --projection"
             )
-        return cls(**given, wander=wander)
+        return cls(**given, wander=wander, covariance=_covariance_in(record, source))
+
+
+def _covariance_in(record: Mapping[str, Any], source: str) -> tuple[tuple[float, ...], ...] | None:
+    """Return a record's covariance; None where it is missing or empty.
+
+    Raises `InputError` unless it has as many columns as rows, and as many as a pose has unknowns.
+    """
+    rows = record.get("covariance")
+    if not rows:
+        return None
+    is_square = isinstance(rows, list | tuple) and all(
+        isinstance(row, list | tuple) and len(row) == len(rows) for row in rows
+    )
+    if not is_square or len(rows) not in _UNKNOWNS:
+        raise InputError(
+            f"{source}: covariance is {str(rows)[:40]}; expected as many lists of as many numbers, "
+            f"{', '.join(map(str, _UNKNOWNS))}, or none"
+        )
+    return tuple(tuple(_number(value, "covariance", source) for value in row) for row in rows)
 
 
 def noted_projection(record: Mapping[str, Any], source: str) -> Projection | None:
@@ -377,9 +409,7 @@ class Ellipse:
         """Return a candidate's ellipse, None if its covariance is unknown."""
         if candidate.covariance_m2 is None:
             return None
-        variance, axes = np.linalg.eigh(np.array(candidate.covariance_m2))
-        minor_m, major_m = np.sqrt(_CHI_SQUARE_95 * np.maximum(variance, 0.0)).tolist()
-        azimuth = np.arctan2(axes[0, 1], axes[1, 1]) % np.pi
+        major_m, minor_m, azimuth = map(float, ellipse_axes(np.array(candidate.covariance_m2)))
         sine = np.sin(azimuth)
         cosine = np.cos(azimuth)
         turn = np.linspace(0.0, 2.0 * np.pi, _ELLIPSE_POINTS + 1)
@@ -390,6 +420,17 @@ class Ellipse:
         outline = np.stack([candidate.easting_m + east, candidate.northing_m + north], axis=1)
         outline[-1] = outline[0]
         return cls(major_m, minor_m, outline)
+
+
+def ellipse_axes(covariance_m2: Float64Array) -> tuple[Float64Array, Float64Array, Float64Array]:
+    """Return the ellipses that contain true positions 95 % of the time.
+
+    Covariances (..., 2, 2) are of easting and northing. The results (...) are the long and the
+    short semi-axis, metres, and the long one's grid azimuth, radians, in [0, pi).
+    """
+    variance, axes = np.linalg.eigh(covariance_m2)
+    minor_m, major_m = np.moveaxis(np.sqrt(_CHI_SQUARE_95 * np.maximum(variance, 0.0)), -1, 0)
+    return major_m, minor_m, np.arctan2(axes[..., 0, 1], axes[..., 1, 1]) % np.pi
 
 
 def view_wedge_m(candidate: Pose, reach_m: float) -> Float64Array:
@@ -429,6 +470,8 @@ class FitFigures(Rows):
     height_sd_m: Float64Array
     """(M,) float64. Standard deviation of the terrain model's height errors that the fit
     suggests."""
+    covariance: Float64Array
+    """(M, P, P) float64. As in `Pose`."""
     margin: Float64Array
     """(M,) float64. `Poses.rival_margin` for `RIGHT_WITHIN_M`; below 0 for all but the best
     pose."""
@@ -517,6 +560,7 @@ class Poses(Rows):
             for name in ("beyond_share", "residual_deg", "terrain_share", "skyline_m"):
                 columns[name] = getattr(fits, name)
             columns["covariance_m2"] = fits.covariance_m2
+            columns["covariance"] = fits.covariance
             columns["refined"] = np.ones(len(self), dtype=bool)
         known = {
             name: map(_tuple, column.tolist())
@@ -574,9 +618,7 @@ class Poses(Rows):
 
 def _finite(value: Any) -> Any:
     """Return a value, or None for numbers that are not finite."""
-    numbers = value if isinstance(value, tuple) else (value,)
-    is_finite = all(math.isfinite(one) for one in numbers if isinstance(one, float))
-    return value if is_finite else None
+    return value if value is None or np.isfinite(value).all() else None
 
 
 def _tuple(value: Any) -> Any:

@@ -3,12 +3,13 @@
 import json
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any
 
 from skyline.camera import Projection
 from skyline.errors import InputError, printable
 from skyline.files import read_bytes
+from skyline.photo.photo import Photo, read_photo
 from skyline.pose import EXPECTED_RECORD, NotedPose, noted_projection
 from skyline.store.read import is_store
 
@@ -47,9 +48,10 @@ def read_pose(path: Path, photo: Path) -> PoseRecord:
 
     A file of several photos has the pose in the line that names the photo. Of a match it is the
     answer, else the best candidate. Raises `MissingFileError` where there is no file, and
-    `InputError` where it has no such pose.
+    `InputError` where it has no such pose, or the pose of a photo of another name.
     """
     record = _record_of(_records_in(path), path, photo)
+    _check_photo(record, path, photo)
     doubt = ""
     if isinstance(record, dict) and isinstance(record.get("candidates"), list):
         candidates = record["candidates"]
@@ -69,6 +71,19 @@ def read_pose(path: Path, photo: Path) -> PoseRecord:
     return PoseRecord(path, record, doubt)
 
 
+def read_posed(
+    photo: Path, pose: Path, projection: Projection | None = None
+) -> tuple[Photo, NotedPose]:
+    """Read a photo and its pose.
+
+    Without a ``projection`` the photo has the one of the pose's record, or else its own. Raises as
+    `read_photo`, `read_pose` and `NotedPose.from_dict`.
+    """
+    record = read_pose(pose, photo)
+    read = read_photo(photo, projection=projection or record.projection)
+    return read, record.pose(read.blank.projection)
+
+
 def angle_sds_in(path: Path, photo: Path) -> dict[str, float]:
     """Return the standard errors of a pose's angles that its file has, by their names.
 
@@ -78,6 +93,16 @@ def angle_sds_in(path: Path, photo: Path) -> dict[str, float]:
     given = record if isinstance(record, dict) else {}
     sds = {name: given.get(name) for name in ANGLE_SDS}
     return {name: float(sd) for name, sd in sds.items() if isinstance(sd, int | float) and sd > 0}
+
+
+def _check_photo(record: Any, path: Path, photo: Path) -> None:
+    """Raise `InputError` for the record of a photo of another name."""
+    named = record.get("photo") if isinstance(record, dict) else None
+    if named and PurePath(str(named)).name != PurePath(printable(photo)).name:
+        raise InputError(
+            f"pose {path} is of {printable(str(named))}, not of {photo}; give the pose of this "
+            "photo, or remove `photo` from the record if a fixed camera took both"
+        )
 
 
 def _records_in(path: Path) -> list[Any]:

@@ -24,6 +24,7 @@ from skyline.errors import InputError, library, suffix_of
 from skyline.files import write_whole
 from skyline.geodesy.bounds import in_turn
 from skyline.geodesy.earth import Curvature
+from skyline.ground import GroundView
 from skyline.peaks import (
     Peaks,
     Sighting,
@@ -439,7 +440,12 @@ class Viewer(Closeable):
             fov_deg=noted.fov_deg,
             eye_height_m=height_m,
         )
-        pose = replace(standing, distortion=noted.distortion, wander=noted.wander)
+        pose = replace(
+            standing,
+            distortion=noted.distortion,
+            wander=noted.wander,
+            covariance=noted.covariance,
+        )
         if noted.eye_elevation_m is not None:
             pose = replace(pose, eye_elevation_m=noted.eye_elevation_m)
         check_eye_elevation(pose.eye_elevation_m, standing.eye_elevation_m)
@@ -505,36 +511,39 @@ class Viewer(Closeable):
         OffMapError
             The pose is off the map or on a hole.
         """
-        photo.projection.check_fov_deg(pose.fov_deg)
         if step < 1:
             raise InputError(f"the step is {step} pixels; expected 1 or more")
-        eye = self._standing(pose)
+        view = self.ground_view(pose, photo)
         row_px, column_px = np.mgrid[: photo.height_px : step, : photo.width_px : step]
-        azimuth_deg, elevation_tan = pose.camera(photo).directions(column_px, row_px)
+        azimuth_deg, elevation_tan = view.camera.directions(column_px, row_px)
         azimuth_rad = np.radians(azimuth_deg)
-        narrowest_deg = photo.projection.column_deg(photo.width_px, pose.fov_deg).min()
-        distance_m = first_hits_m(
-            self.terrain,
-            eye,
-            self.curvature,
-            azimuth_rad.ravel(),
-            elevation_tan.ravel(),
-            math.radians(narrowest_deg) / 2.0,
-            progress,
-        ).reshape(row_px.shape)
-        eye_m = float(eye.eye_elevation_m[0])
-        lon, lat = self.frame.to_lonlat(
-            pose.easting_m + distance_m * np.sin(azimuth_rad),
-            pose.northing_m + distance_m * np.cos(azimuth_rad),
-        )
+        distance_m = view.hits_m(azimuth_rad, elevation_tan, progress)
+        easting_m, northing_m, elevation_m = view.at_m(azimuth_rad, elevation_tan, distance_m)
+        lon, lat = self.frame.to_lonlat(easting_m, northing_m)
         is_sky = np.isnan(distance_m)
-        elevation_m = eye_m + elevation_tan * distance_m + self.curvature.drop_m(distance_m)
         return PixelPlaces(
             distance_m=distance_m.astype(np.float32),
             lon=np.where(is_sky, np.nan, lon),
             lat=np.where(is_sky, np.nan, lat),
             elevation_m=elevation_m.astype(np.float32),
             step=step,
+        )
+
+    def ground_view(self, pose: Pose, photo: PhotoSkyline) -> GroundView:
+        """Return the ground as the camera of a pose sees it.
+
+        Its pixels are those of ``photo``, whose size and projection count. Raises `InputError` for
+        a field of view that the photo's projection cannot have, and `OffMapError` for a pose off
+        the map or on a hole.
+        """
+        photo.projection.check_fov_deg(pose.fov_deg)
+        known = None if pose.covariance is None else np.array(pose.covariance)
+        return GroundView(
+            terrain=self.terrain,
+            curvature=self.curvature,
+            eye=self._standing(pose),
+            camera=pose.camera(photo),
+            covariance=known,
         )
 
     def summits(self, pose: Pose, photo: PhotoSkyline) -> list[SeenPeak]:

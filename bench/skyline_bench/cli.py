@@ -6,6 +6,7 @@ from functools import partial
 
 from skyline.cli.app import command_line, run_app
 from skyline_bench import (
+    drawn,
     durability,
     figures,
     opening,
@@ -38,6 +39,7 @@ COMMANDS: Mapping[str, Mapping[Callable[..., None], str]] = {
     "Search": {command_of(name, search): search.takes for name, search in SEARCHES.items()},
     "Photographs": {
         orient.orient: "20 minutes",
+        drawn.drawn: "5 minutes",
         photos.photos: "30 minutes",
         photos.sky_masks: "a minute",
     },

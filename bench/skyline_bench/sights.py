@@ -45,7 +45,7 @@ def label_row(model: HeightField, seen: HeightField, posed: Sequence[Posed]) -> 
         unknown_m = np.full(len(east), np.nan)
         peaks = Peaks(names=names, easting_m=east, northing_m=north, height_m=unknown_m)
         with Viewer(model, peaks) as viewer:
-            labels = viewer.summits(pose or _true_pose(viewer, query.truth), query.skyline)
+            labels = viewer.summits(pose or true_pose(viewer, query.truth), query.skyline)
         at_px = np.full((2, len(east)), np.nan)
         for one in labels:
             at_px[:, int(one.name)] = one.column_px, one.row_px
@@ -80,7 +80,7 @@ def pixel_row(model: HeightField, seen: HeightField, posed: Sequence[Posed]) -> 
     errors = list[Float64Array]()
     for query, pose in posed:
         with Viewer(model) as viewer:
-            held = pose or _true_pose(viewer, query.truth)
+            held = pose or true_pose(viewer, query.truth)
             places = viewer.places(held, query.skyline, _EACH_PX)
         azimuth_rad, tan = _rays(query)
         true_m = _met_m(seen, query.truth, azimuth_rad, tan)
@@ -122,7 +122,7 @@ def _about(model: HeightField, seen: HeightField, posed: Sequence[Posed]) -> dic
     }
 
 
-def _true_pose(viewer: Viewer, truth: Truth) -> Pose:
+def true_pose(viewer: Viewer, truth: Truth) -> Pose:
     """Return the true pose of a photo.
 
     Its eye stands on the ground or above.

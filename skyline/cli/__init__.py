@@ -17,6 +17,8 @@ COMMANDS = {
         "label": "Write the names of summits on a copy of a photo.",
         "pixels": "Give the position on the terrain of each pixel of a photo.",
         "when": "Tell when a photo was taken, by its sun, its moon or a shadow.",
+        "draw": "Lay lines drawn in a photo on the map, or draw the map's into the photo.",
+        "ortho": "Lay photos on the ground, as a Cloud-Optimized GeoTIFF.",
         "extract": "Find the skyline in a photo and write it as a trace.",
         "serve": "Serve a page that finds the places of photos in a browser.",
     },

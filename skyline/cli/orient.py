@@ -7,22 +7,36 @@ import typer
 from typer import Argument, Option
 
 from skyline.batch import Entry, entries_of, usable_entries
-from skyline.cli.options import AsJson, Crs, Dem, output_option, parse_position, read_terrain
+from skyline.cli.options import (
+    AsJson,
+    Crs,
+    Dem,
+    output_option,
+    panel,
+    parse_position,
+    read_terrain,
+)
 from skyline.cli.photo_options import (
     CameraElevation,
     CameraPosition,
     FieldOfView,
     Heading,
     HeadingSlack,
+    HeightSd,
     PhotoProjection,
+    PixelSd,
     heading_of,
 )
 from skyline.cli.terminal import Terminal
-from skyline.errors import SkylineError, check_suffix, printable
+from skyline.control_points import PointErrors
+from skyline.errors import InputError, SkylineError, check_suffix, printable
 from skyline.files import STANDARD, check_outputs, write_whole
 from skyline.orientation import DEFAULT_POSITION_SD_M, Orientation
 from skyline.tables import csv_lines
 from skyline.tasks.orient import CameraAt, orient_photos
+from skyline.tasks.points import PointsTask, orient_by_points
+
+_by_points = panel("Control points")
 
 
 def orient(
@@ -55,12 +69,34 @@ def orient(
         Path | None,
         output_option("Write a table with a row for each photo.", "FILE.csv"),
     ] = None,
+    points: Annotated[
+        Path | None,
+        _by_points(
+            "--points",
+            metavar="FILE",
+            help="Points whose pixel and place are known, in place of the skyline: CSV "
+            "(column_px,row_px,lon,lat[,elevation_m][,name]) or QGIS's .points.",
+        ),
+    ] = None,
+    pose: Annotated[
+        Path | None,
+        _by_points("--pose", metavar="FILE.json", help="A pose that the points refine."),
+    ] = None,
+    residuals: Annotated[
+        Path | None,
+        _by_points(
+            "--residuals", metavar="FILE", help="Write the points with residuals: .csv, .points."
+        ),
+    ] = None,
+    pixel_sd_px: PixelSd = 1.0,
+    height_sd_m: HeightSd = None,
     as_json: AsJson = False,
     crs: Crs = None,
 ) -> None:
     """Find how cameras were held at a known position.
 
-    The heading, pitch, roll and field of view of each camera are given.
+    The heading, pitch, roll and field of view of each camera are given. With --points they come
+    from points whose pixel and place are known, with the position.
     """
     terminal = Terminal.of(context, as_json)
     stood = CameraAt(
@@ -69,6 +105,28 @@ def orient(
         position_sd_m=position_sd_m,
         heading_deg=heading_of(heading, heading_slack),
     )
+    if points is not None:
+        if len(photo) != 1:
+            raise InputError(f"--points is of one photo, and {len(photo)} are given; give one")
+        if output is not None:
+            raise InputError("-o writes a table of many photos; leave it out: --json prints a pose")
+        task = PointsTask(
+            photo=photo[0],
+            points=points,
+            dem=dem,
+            crs=crs,
+            at=stood,
+            pose=pose,
+            fov_deg=fov_deg,
+            projection=projection,
+            errors=PointErrors(pixel_sd_px=pixel_sd_px, height_sd_m=height_sd_m),
+            residuals=residuals,
+        )
+        by_points = orient_by_points(task, terminal)
+        terminal.result(by_points.to_dict(), by_points.to_text())
+        return
+    if pose is not None or residuals is not None:
+        raise InputError("--pose and --residuals are for control points; give --points FILE too")
     entries = list(entries_of(photo, Entry("", fov_deg, None, projection)))
     check_outputs([output], [*photo, *(Path(one.path) for one in entries)])
     if output is not None:

@@ -62,6 +62,24 @@ POSE = Option(
     help="The camera's position and direction, as `match --json` and `orient --json` print them.",
 )
 
+_errors = panel("Errors")
+PixelSd = Annotated[
+    float,
+    _errors(
+        "--pixel-sd", min=0.0, metavar="PX", help="Standard deviation of a drawn column and row."
+    ),
+]
+HeightSd = Annotated[
+    float | None,
+    _errors(
+        "--height-sd",
+        min=0.0,
+        metavar="M",
+        help="Standard deviation of the DEM's heights, metres.",
+        show_default="from the DEM's spacing",
+    ),
+]
+
 # What is known of a photo that is searched for
 Near = Annotated[
     str | None,

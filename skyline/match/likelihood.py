@@ -30,14 +30,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from skyline.arrays import Float64Array, Rows
+from skyline.terrain.height_errors import HEIGHT_REACH_M, height_correlation
 
 
 @dataclass(frozen=True, slots=True)
 class ErrorModel:
     """Assumptions about height errors and about columns without terrain."""
 
-    reach_m: float = 300.0
-    """Distance at which the correlation of height errors has fallen to 1 / e."""
     rough_share: float = 0.4
     """Share of the heights' standard deviation that is independent from column to column."""
     above_share: float = 0.15
@@ -100,7 +99,7 @@ class HeightErrors(Rows):
         # Height errors hardly move a skyline as far away as an unknown one is taken to be.
         distance = np.where(np.isfinite(distance_m), distance_m, 1e9)
         if not nodes:
-            reach_m = 2.0 / 3.0 * _MODEL.reach_m
+            reach_m = 2.0 / 3.0 * HEIGHT_REACH_M
             shared = distance / (distance**2 + reach_m**2)
             rough = 1.0 / np.hypot(distance, reach_m)
             return cls(shared[..., np.newaxis], rough, blur_rad, rise_rad, beyond_rad)
@@ -109,23 +108,18 @@ class HeightErrors(Rows):
         # Weights (R, K) of linear interpolation.
         between = np.stack([np.interp(column, node, unit) for unit in np.eye(len(node))], axis=1)
         place = (distance * np.exp(1j * azimuth_rad))[:, node]
-        to_eye = 0.5 - _correlation(np.abs(place))
+        to_eye = 0.5 - height_correlation(np.abs(place))
         apart = np.abs(place[:, :, np.newaxis] - place[:, np.newaxis, :])
-        covariance = _correlation(apart) + (to_eye[:, :, np.newaxis] + to_eye[:, np.newaxis, :])
+        covariance = height_correlation(apart)
+        covariance += to_eye[:, :, np.newaxis] + to_eye[:, np.newaxis, :]
         root = np.linalg.cholesky(covariance + 1e-6 * np.eye(len(node)))
         return cls(
             between @ root / distance[..., np.newaxis],
-            _MODEL.rough_share / np.hypot(distance, _MODEL.reach_m / 3.0),
+            _MODEL.rough_share / np.hypot(distance, HEIGHT_REACH_M / 3.0),
             blur_rad,
             rise_rad,
             beyond_rad,
         )
-
-
-def _correlation(distance_m: Float64Array) -> Float64Array:
-    # (1 + x) exp(-x) is 1 / e at this x.
-    x = distance_m * (2.1461932206205825 / _MODEL.reach_m)
-    return np.asarray((1.0 + x) * np.exp(-x))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

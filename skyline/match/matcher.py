@@ -413,10 +413,9 @@ def _without_search(pose: Pose, refusal: str | None) -> Pose:
     No other place was tried. A pose that is refused has no covariance either: errors of a wrong fit
     have no meaning.
     """
-    covariance_m2 = None if refusal else pose.covariance_m2
-    return replace(
-        pose, rank=None, confidence=None, confidence_1km=None, covariance_m2=covariance_m2
-    )
+    if refusal:
+        pose = replace(pose, covariance_m2=None, covariance=None)
+    return replace(pose, rank=None, confidence=None, confidence_1km=None)
 
 
 def _check_frame(store: Store, frame: Frame) -> None:

@@ -351,6 +351,7 @@ class Refinement:
         poses = self.poses(particles)
         fits = FitFigures(
             covariance_m2=spread_m2(poses, covariance[:, :EYE_HEIGHT, :EYE_HEIGHT]),
+            covariance=self._of_elevation(poses, covariance),
             residual_deg=np.degrees(np.sqrt(squares / shown)),
             terrain_share=shown / trust.sum(),
             skyline_m=1.0 / np.maximum(nearness, 1e-6),
@@ -362,6 +363,19 @@ class Refinement:
             angle_sd_deg=self._angle_sd_deg(particles, covariance),
         )
         return replace(poses, fits=fits)
+
+    def _of_elevation(self, poses: Poses, covariance: Float64Array) -> Float64Array:
+        """Return covariances (M, P, P) of the eye's elevation in place of its height.
+
+        An eye that moves on sloping ground keeps its height above it.
+        """
+        easting_m, northing_m = poses.easting_m, poses.northing_m
+        to_elevation = np.tile(np.eye(covariance.shape[-1]), (len(poses), 1, 1))
+        to_elevation[:, EYE_HEIGHT, :EYE_HEIGHT] = ground_slope(
+            self._scene.ground_m, easting_m, northing_m
+        )
+        turned = to_elevation @ covariance @ to_elevation.swapaxes(1, 2)
+        return np.asarray(0.5 * (turned + turned.swapaxes(1, 2)))
 
     def _angle_sd_deg(self, particles: Particles, covariance: Float64Array) -> Float64Array:
         """Return standard errors (M, 4) of heading, pitch, roll, field of view."""

@@ -24,12 +24,13 @@ TOP = 5
 """Candidates that a search returns, unless it is asked for another number."""
 _OF_CAMERA = (
     "heading_deg", "pitch_deg", "roll_deg", "fov_deg", "distortion", "beyond_share",
-    "residual_deg", "terrain_share", "skyline_m",
+    "residual_deg", "terrain_share", "skyline_m", "covariance",
 )  # fmt: skip
 """Keys of a candidate that differ between photos of one place."""
 
 NORTHS = {True: ", from magnetic north", False: "", None: ", from a north that it does not name"}
 _WGS84 = Geod(ellps="WGS84")
+_NO_COLUMNS = {"covariance_m2", "covariance", "rank"}
 _COVARIANCE = ("easting_variance_m2", "northing_variance_m2", "easting_northing_covariance_m2")
 
 
@@ -468,7 +469,7 @@ def to_geodataframe(results: Iterable[MatchResult]) -> "GeoDataFrame":
     geopandas.GeoDataFrame
         Points in EPSG:4326, with ``photo`` (the result's number, from 0), ``rank`` (1 is the
         best), ``is_answer`` (whether it is the answer) and the fields of `Pose`; of the
-        covariance three columns, which files can hold. Unknown values are missing.
+        place's covariance three columns, which files can hold. Unknown values are missing.
 
     Raises
     ------
@@ -476,7 +477,7 @@ def to_geodataframe(results: Iterable[MatchResult]) -> "GeoDataFrame":
         GeoPandas is not installed.
     """
     geopandas = library("geopandas", "a GeoDataFrame")
-    names = [n for n in Pose.__dataclass_fields__ if n not in {"covariance_m2", "rank"}]
+    names = [n for n in Pose.__dataclass_fields__ if n not in _NO_COLUMNS]
     columns: dict[str, list[Any]] = {
         name: [] for name in ("photo", "rank", "is_answer", *names, *_COVARIANCE)
     }

@@ -12,13 +12,15 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 
 from skyline.arrays import UInt8Array
+from skyline.ground_shapes import PhotoShape
 from skyline.photo.skyline import PhotoSkyline
 from skyline.pose import Pose
 from skyline.report.labels import UnnamedPeaks, encode_figure, labels_of, place_labels
 from skyline.view import SeenBody, SeenPeak, Sight
 
 _RENDERED_COLOUR = "#00e0ff"
-_BODY_COLOUR = "#ffd23f"
+_DRAWN_COLOUR = "#ffd21f"
+"""Of the sun, the moon and lines of the map."""
 _DPI = 100.0
 _ROW_PX = 21.0
 """Height of a row of labels."""
@@ -96,7 +98,7 @@ def _draw_body(axis: Axes, body: SeenBody) -> None:
     """Outline the disc of the sun or the moon, with its name below."""
     style = "--" if body.is_hidden else "-"
     column_px, row_px = body.outline_px.T
-    axis.plot(column_px, row_px, style, color=_BODY_COLOUR, linewidth=1.4, path_effects=_HALO)
+    axis.plot(column_px, row_px, style, color=_DRAWN_COLOUR, linewidth=1.4, path_effects=_HALO)
     foot_px = float(np.nanmax(body.outline_px[:, 1]))
     axis.annotate(
         f"{body.name}, hidden" if body.is_hidden else body.name,
@@ -106,9 +108,39 @@ def _draw_body(axis: Axes, body: SeenBody) -> None:
         ha="center",
         va="top",
         fontsize=10.0,
-        color=_BODY_COLOUR,
+        color=_DRAWN_COLOUR,
         path_effects=_HALO,
     )
+
+
+def draw_shapes(
+    skyline: PhotoSkyline, photo: UInt8Array, shapes: Sequence[PhotoShape], kind: str = "png"
+) -> bytes:
+    """Draw shapes of the map over a photo, hidden parts dashed.
+
+    Parameters
+    ----------
+    photo : (H, W, 3) uint8
+        RGB, of the size of ``skyline``.
+    kind : str
+        As in `draw_labels`.
+
+    Returns
+    -------
+    bytes
+        The picture, the photo at most 1600 px wide and high.
+    """
+    figure, axis, _ = _draw_picture(skyline, photo, (), ())
+    for one in shapes:
+        for part, is_hidden in one.parts(skyline.width_px, skyline.height_px):
+            style: dict[str, Any] = {
+                "linestyle": "--" if is_hidden else "-",
+                "alpha": 0.6 if is_hidden else 1.0,
+            }
+            if len(part) == 1:
+                style = {"marker": "o", "fillstyle": "none" if is_hidden else "full"}
+            axis.plot(*part.T, color=_DRAWN_COLOUR, linewidth=2.0, path_effects=_HALO, **style)
+    return _encoded(figure, kind)
 
 
 def _encoded(figure: Figure, kind: str) -> bytes:

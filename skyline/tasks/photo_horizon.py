@@ -41,8 +41,9 @@ def photo_horizon(
     A note says how much of the turn the photo shows. Raises `InputError` where the photo or its
     pose cannot be read, or no column of the skyline is trusted.
     """
-    photo = read_skyline(task.photo, projection=task.projection)
-    noted = read_pose(task.pose, task.photo, photo.projection)
+    record = read_pose(task.pose, task.photo)
+    photo = read_skyline(task.photo, projection=task.projection or record.projection)
+    noted = record.pose(photo.projection)
     with Viewer(terrain) as viewer:
         pose = shown_pose(noted, viewer, listener)
     column_px = np.flatnonzero(photo.trusted)

@@ -7,8 +7,7 @@ from pathlib import Path
 from skyline.camera import Projection
 from skyline.errors import InputError, suffix_of
 from skyline.files import check_outputs, lies_in_any, on_disk
-from skyline.photo.photo import read_photo
-from skyline.pose_file import read_pose
+from skyline.pose_file import read_posed
 from skyline.tasks.label import shown_pose
 from skyline.tasks.listener import Listener
 from skyline.terrain.dem import read_dem
@@ -49,13 +48,11 @@ def place_pixels(task: PixelsTask, listener: Listener) -> PixelPlaces:
         raise InputError(
             f"{task.output} would become a part of the DEM; choose another folder for it"
         )
-    record = read_pose(task.pose, task.photo)
-    photo = read_photo(task.photo, projection=task.projection or record.projection).blank
-    noted = record.pose(photo.projection)
+    picture, noted = read_posed(task.photo, task.pose, task.projection)
     with listener.slow("reading the elevation model"):
         terrain = read_dem(names, DemOptions(crs=task.crs))
     with listener.progress("following rays") as progress, Viewer(terrain) as viewer:
         pose = shown_pose(noted, viewer, listener)
-        places = viewer.places(pose, photo, task.step, progress)
+        places = viewer.places(pose, picture.blank, task.step, progress)
     places.save(task.output, pose)
     return places

@@ -8,9 +8,8 @@ from pathlib import Path
 from skyline.camera import Projection
 from skyline.errors import InputError
 from skyline.geodesy.earth import Curvature
-from skyline.photo.photo import read_photo
 from skyline.pose import Pose
-from skyline.pose_file import ANGLE_SDS, angle_sds_in, read_pose
+from skyline.pose_file import ANGLE_SDS, angle_sds_in, read_posed
 from skyline.sun import Body, Sky
 from skyline.sun_clock import (
     ClockTime,
@@ -77,8 +76,8 @@ def tell_when(task: WhenTask, listener: Listener) -> Told:
     Raises `InputError` where the photo or its pose cannot be read, a pixel is of no use, or the
     body does not stand there; `OffMapError` for a pose off the map.
     """
-    photo = read_photo(task.photo, projection=task.projection).blank
-    noted = read_pose(task.pose, task.photo, photo.projection)
+    picture, noted = read_posed(task.photo, task.pose, task.projection)
+    photo = picture.blank
     sds = angle_sds_in(task.pose, task.photo)
     errors = PointingErrors(**sds)
     with listener.slow("reading the elevation model"):

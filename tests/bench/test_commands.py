@@ -21,6 +21,7 @@ ROOT = Path(__file__).parents[2]
     [
         (("summits", "DEM", "--quick"), 1, "summits_off"),
         (("large-dem", "--quick"), 1, "seconds"),
+        (("drawn", "DEM", "--quick"), 2, "km2"),
         (("table1", "--seeds", 1, "--side", 30, "--row", 2), 5, "mean_area"),
     ],
     ids=lambda value: value[0] if isinstance(value, tuple) else "",

@@ -22,10 +22,10 @@ import typer
 from documents import DOCUMENTS, ROOT, blocks_of, defined_in, links, references, table_under
 from PIL import Image
 from range_server import Behaviour, serve
-from scenes import degree_tile, fractal, take_photo
+from scenes import candidate_at, degree_tile, fractal, take_photo
 
 import skyline
-from skyline import cli, read_dem, stand_at
+from skyline import Curvature, PhotoSkyline, cli, read_dem, stand_at
 from skyline.fetch.dem_tiles import SOURCES
 from skyline.store.read import open_store
 from skyline_bench import cli as bench
@@ -167,8 +167,36 @@ def make_files():
     shutil.copy("photo.jpg", "photos/a.jpg")
     Path("viewpoints.csv").write_text("lon,lat\n9.85,46.75\n")
     Path("peaks.csv").write_text("name,lon,lat\nGrat,9.87,46.72\n")
+    Path("points.csv").write_text(control_points(terrain, eye))
+    lake = [[400.0, 560.0], [460.0, 560.0], [460.0, 600.0]]
+    shapes = [{"label": "lake", "points": lake, "shape_type": "polygon"}]
+    size = {"imageWidth": 960, "imageHeight": 640}
+    Path("lake.json").write_text(json.dumps({"shapes": shapes, **size}))
+    corners = (9.78, 46.69), (9.92, 46.69), (9.92, 46.81), (9.78, 46.81), (9.78, 46.69)
+    points = "".join(f'<trkpt lon="{lon}" lat="{lat}"/>' for lon, lat in corners)
+    Path("tour.gpx").write_text(f"<gpx><trk><trkseg>{points}</trkseg></trk></gpx>")
     trees = np.where(fractal(_PER_DEGREE, _PER_DEGREE, seed=6) > 0.0, 20.0, 0.0)
     Path("canopy.tif").write_bytes(degree_tile(trees.astype(np.float32), 9, 46))
+
+
+def control_points(terrain, eye):
+    """Return a table of points that the photo shows, heading 140, 60 degrees wide."""
+    away_m, turns_deg = (
+        (3000.0, 9000.0, 15_000.0, 12_000.0, 5000.0),
+        (-24.0, -12.0, 1.0, 13.0, 25.0),
+    )
+    rows = ["column_px,row_px,lon,lat"]
+    for distance_m, turn_deg in zip(away_m, turns_deg, strict=True):
+        azimuth = np.radians(140.0 + turn_deg)
+        east_m = eye.easting_m + distance_m * np.sin(azimuth)
+        north_m = eye.northing_m + distance_m * np.cos(azimuth)
+        up_m = terrain.height_at(easting_m=east_m, northing_m=north_m) - eye.eye_elevation_m
+        tan = (up_m - Curvature().drop_m(distance_m)) / distance_m
+        camera = candidate_at(0.0, 0.0, 140.0).camera(PhotoSkyline(*np.zeros((2, 960)), 960, 640))
+        column_px, row_px = camera.pixels(np.degrees(azimuth), tan)
+        lon, lat = terrain.frame.to_lonlat(east_m, north_m)
+        rows.append(",".join(str(one.item()) for one in (column_px, row_px, lon, lat)))
+    return "\n".join(rows) + "\n"
 
 
 def test_the_files_that_pages_share_are_made(world):

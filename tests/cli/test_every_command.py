@@ -30,6 +30,8 @@ COMMANDS = {
     "label": ((*POSED, "--peaks", "{peaks}", "-o", "{out}.png"), "tasks.label.read_dem"),
     "pixels": ((*POSED, "--step", "40", "-o", "{out}.npz"), "tasks.pixels.read_dem"),
     "when": ((*POSED, "--time", "2026-06-21T12:00Z", "--sun", "1,1", "-q"), "tasks.when.read_dem"),
+    "draw": ((*POSED, "--vectors", "{drawn}", "-o", "{out}.kml"), "tasks.draw.read_dem"),
+    "ortho": ((*POSED, "-o", "{out}.tif"), "tasks.ortho.read_dem"),
     "orient": (("{trace}", *PLACED, "-o", "{out}.csv"), "orient.read_terrain"),
     "locate": (
         ("{photo}", "--near", "{at},1", *IN_DEM, "--report", "{out}"),
@@ -104,8 +106,10 @@ def peaks(tmp_path):
 def command(store, photo, trace, pose, peaks, tmp_path, dem):
     """Return a function that gives a command's arguments."""
     at = "{:.6f},{:.6f}".format(*lonlat_of(dem))
+    drawn = tmp_path / "drawn.svg"
+    drawn.write_text('<svg><line x1="400" y1="600" x2="500" y2="620"/></svg>')
     given = {"dem": dem, "at": at, "out": tmp_path / "out", "tmp": tmp_path, "store": store}
-    given |= {"photo": photo, "trace": trace, "pose": pose, "peaks": peaks}
+    given |= {"photo": photo, "trace": trace, "pose": pose, "peaks": peaks, "drawn": drawn}
     return lambda name: [*name.split(), *(str(one).format(**given) for one in COMMANDS[name][0])]
 
 

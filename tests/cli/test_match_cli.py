@@ -34,7 +34,7 @@ def test_extract_then_match_the_trace(run, store, dem, photo, tmp_path):
     assert set(record) == set(keys.split())
     keys = """easting_m northing_m lon lat eye_elevation_m radius_m heading_deg pitch_deg roll_deg
         fov_deg cost confidence confidence_1km refined beyond_share distortion wander
-        residual_deg terrain_share skyline_m"""
+        residual_deg terrain_share skyline_m covariance"""
     assert set(record["answer"]) == set(keys.split())
     assert record["answer"] == record["candidates"][0]
     assert record["answer"]["refined"] is True

@@ -33,6 +33,7 @@ def fitted(residual_deg):
         margin=0.0 * one,
         far_margin=0.0 * one,
         angle_sd_deg=np.ones((count, 4)),
+        covariance=np.tile(np.eye(8), (count, 1, 1)),
     )
     return replace(retrieved([0.0] * count, [0.0] * count), fits=fits)
 

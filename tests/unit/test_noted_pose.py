@@ -4,6 +4,7 @@ import json
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from scenes import candidate_at, fractal, write_dem
 
@@ -65,3 +66,18 @@ def test_a_height_counts_from_the_ground_and_an_elevation_from_the_datum(tmp_pat
         eye_m(eye_height_m=-1.0)
     with pytest.raises(InputError):
         eye_m(eye_height_m=1e6)
+
+
+def test_a_covariance_is_read_as_it_is_written():
+    covariance = tuple(map(tuple, np.diag(np.arange(1.0, 9.0)).tolist()))
+    pose = replace(candidate_at(0.0, 0.0), covariance=covariance)
+    record = json.loads(json.dumps(pose.to_dict()))
+    assert NotedPose.from_dict(record, LENS).covariance == covariance
+    assert NotedPose.from_dict(record | {"covariance": None}, LENS).covariance is None
+
+
+@pytest.mark.parametrize("covariance", [[[1.0]], [[1.0] * 8] * 7, "wide", [["a"] * 8] * 8])
+def test_a_covariance_of_other_unknowns_is_refused(covariance):
+    record = candidate_at(0.0, 0.0).to_dict() | {"covariance": covariance}
+    with pytest.raises(InputError):
+        NotedPose.from_dict(record, LENS)

@@ -1,0 +1,65 @@
+"""``skyline draw``: lines of a photo on the map, and lines of the map in a photo."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from typer import Option
+
+from skyline.cli.options import Crs, Dem, output_option
+from skyline.cli.photo_options import POSE, HeightSd, PhotoFile, PhotoProjection, PixelSd
+from skyline.cli.terminal import Terminal
+from skyline.ground import GroundErrors
+from skyline.report.vector_files import MAP_FILES
+from skyline.tasks.draw import PHOTO_FILES, DrawTask, draw_vectors
+from skyline.vectors import VECTORS
+
+
+def draw(
+    context: typer.Context,
+    photo: PhotoFile,
+    pose: Annotated[Path, POSE],
+    vectors: Annotated[
+        Path,
+        Option(
+            "--vectors",
+            metavar="FILE",
+            help="Points, lines and polygons of the photo (GeoJSON in pixels, LabelMe, COCO, SVG) "
+            f"or of the map (GeoJSON, GPX, GeoPackage): {', '.join(VECTORS)}.",
+        ),
+    ],
+    dem: Dem,
+    output: Annotated[
+        Path,
+        output_option(
+            f"The file to write: {', '.join(MAP_FILES)} for vectors of the photo, "
+            f"{', '.join(PHOTO_FILES)} for vectors of the map."
+        ),
+    ],
+    in_pixels: Annotated[
+        bool, Option("--pixels", help="The coordinates of GeoJSON are the photo's pixels.")
+    ] = False,
+    pixel_sd_px: PixelSd = 1.0,
+    height_sd_m: HeightSd = None,
+    projection: PhotoProjection = None,
+    crs: Crs = None,
+) -> None:
+    """Lay lines drawn in a photo on the map, or draw the map's into the photo.
+
+    What is drawn in the photo gets places, elevations, lengths and areas, with their errors. What
+    is on the map is drawn into the photo, hidden parts dashed.
+    """
+    terminal = Terminal.of(context)
+    task = DrawTask(
+        photo=photo,
+        pose=pose,
+        vectors=vectors,
+        dem=dem,
+        crs=crs,
+        output=output,
+        in_pixels=in_pixels,
+        errors=GroundErrors(pixel_sd_px=pixel_sd_px, height_sd_m=height_sd_m),
+        projection=projection,
+    )
+    for line in draw_vectors(task, terminal):
+        terminal.line(line)

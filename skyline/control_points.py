@@ -1,0 +1,521 @@
+"""A pose from control points: points of a photo whose places are known.
+
+It needs no skyline. The pose is fitted by damped Gauss-Newton to the pixels of the points, from
+what is known of the place and the lens, or from a pose that is refined. It has the unknowns of
+`skyline.pose.Pose.covariance`. A wrong point is one that anywhere in the photo would explain
+better: leaving it out lowers the cost by more than that.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from skyline.arrays import BoolArray, Float64Array
+from skyline.camera import WANDER_DEGREES, Camera
+from skyline.errors import InputError, OffMapError, printable
+from skyline.geodesy.bounds import in_turn
+from skyline.match.config import MatchConfig
+from skyline.match.rays import Rays
+from skyline.match.solver import (
+    EAST,
+    EYE_HEIGHT,
+    HEADING,
+    LOG_SCALE,
+    PITCH,
+    ROLL,
+    WARP,
+    SolverPriors,
+)
+from skyline.orientation import RIGHT_DEG
+from skyline.photo.skyline import PhotoSkyline
+from skyline.point_files import ControlPoints
+from skyline.pose import Pose
+from skyline.terrain.heightfield import ground_of, ground_slope
+from skyline.view import Viewer
+
+UP = EYE_HEIGHT
+"""The column of the eye's elevation, where a skyline's fit has its height above the ground."""
+LEAST_POINTS = 3
+"""A place and a direction follow from three points, if the lens is known."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PointErrors:
+    """Errors of control points."""
+
+    pixel_sd_px: float = 1.0
+    """Standard deviation of a point's column and row."""
+    place_sd_m: float = 5.0
+    """Standard deviation of a point's easting, northing and elevation: as a map or a phone has
+    them."""
+    height_sd_m: float | None = None
+    """Standard deviation of the elevation of points and eyes on the ground of the DEM; by default
+    `HeightField.height_sd_m`."""
+    wrong_share: float = 0.05
+    """Share of points that are wrong, beforehand."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Steps:
+    """How a fit goes on."""
+
+    first: int = 4
+    """Steps from each start."""
+    followed: int = 2
+    """Best of these that go on."""
+    most: int = 30
+    """Steps of those."""
+    damping: float = 1e-3
+    enough: float = 1e-9
+    """A fit ends when its cost falls by no more than this share."""
+    most_misfit: float = 3.0
+    """A pose whose points miss by more is not trusted: no more than a percent of right ones do."""
+    most_heading_sd_deg: float = RIGHT_DEG
+    """A heading that is known less well is not trusted."""
+    spare: int = 1
+    """More points than this must stay beyond `LEAST_POINTS` if one is to be called wrong."""
+
+
+_STEPS = _Steps()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PointsFit:
+    """A pose fitted to control points."""
+
+    photo: PhotoSkyline
+    pose: Pose
+    points: ControlPoints
+    residual_px: Float64Array
+    """(N, 2) float64. Where each point appears, less where it was marked: to the right, down."""
+    is_used: BoolArray
+    """(N,) bool. False for points that are taken for wrong."""
+    misfit: float
+    """Root mean square of the residuals of used points, in their standard deviations."""
+    refusal: str | None = None
+    """Why the pose cannot be trusted; None if it can."""
+    name: str = ""
+
+    @property
+    def sds_deg(self) -> dict[str, float]:
+        """Standard errors of heading, pitch, roll and field of view, degrees."""
+        assert self.pose.covariance is not None
+        sd = np.sqrt(np.diagonal(np.array(self.pose.covariance)))
+        half = self.photo.projection.half_width(self.pose.fov_deg)
+        fov_deg = self.photo.projection.fov_deg(half * np.exp([-sd[LOG_SCALE], sd[LOG_SCALE]]))
+        angles = dict(
+            zip(("heading", "pitch", "roll"), np.degrees(sd[HEADING:LOG_SCALE]), strict=True)
+        )
+        return {name: float(one) for name, one in angles.items()} | {
+            "fov": float(np.ptp(fov_deg)) / 2.0
+        }
+
+    @property
+    def wrong(self) -> tuple[str, ...]:
+        """Names of points that are taken for wrong."""
+        return tuple(np.array(self.points.names)[~self.is_used].tolist())
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the fit as ``skyline orient --points --json`` prints it."""
+        record: dict[str, Any] = {"photo": printable(self.name), "trusted": int(not self.refusal)}
+        record |= self.pose.to_dict()
+        record |= {f"{name}_sd_deg": sd for name, sd in self.sds_deg.items()}
+        points = [
+            {"name": name, "across_px": across, "down_px": down, "used": used}
+            for name, (across, down), used in zip(
+                self.points.names,
+                np.round(self.residual_px, 3).tolist(),
+                self.is_used.tolist(),
+                strict=True,
+            )
+        ]
+        return record | {"misfit": self.misfit, "points": points, "refusal": self.refusal}
+
+    def to_text(self) -> str:
+        """Return the lines that ``skyline orient --points`` prints."""
+        pose, sd = self.pose, self.sds_deg
+        lines = [printable(self.name) or "photo"]
+        if self.refusal:
+            lines.append(f"not trusted: {self.refusal}")
+        lines.append(
+            f"heading {pose.heading_deg:.2f} +- {sd['heading']:.2f} from true north  "
+            f"pitch {pose.pitch_deg:.2f} +- {sd['pitch']:.2f}  "
+            f"roll {pose.roll_deg:.2f} +- {sd['roll']:.2f}  "
+            f"fov {pose.fov_deg:.2f} +- {sd['fov']:.2f} degrees"
+        )
+        lines.append(f"lat {pose.lat:.6f} lon {pose.lon:.6f}, {pose.eye_elevation_m:.1f} m high")
+        for name, (across, down), used in zip(
+            self.points.names, self.residual_px.tolist(), self.is_used, strict=True
+        ):
+            wrong = "" if used else "  wrong: left out; check its pixel and its place"
+            lines.append(f"point {name}: {across:+.1f} px across, {down:+.1f} px down{wrong}")
+        return "\n  ".join(lines)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KnownCamera:
+    """What is known of a camera before its control points are seen."""
+
+    pose: Pose
+    precision: Float64Array
+    """(P, P) float64. Inverse covariance about the pose, in the columns of `Pose.covariance`."""
+    eye_height_m: float | None = None
+    """Usual height above the ground; None where the eye's elevation is part of ``precision``."""
+    has_heading: bool = False
+
+    @classmethod
+    def at(
+        cls,
+        viewer: Viewer,
+        photo: PhotoSkyline,
+        *,
+        lon: float,
+        lat: float,
+        position_sd_m: float,
+        elevation_m: float | None = None,
+        heading_deg: tuple[float, float] | None = None,
+    ) -> "KnownCamera":
+        """Return a camera at a place.
+
+        ``heading_deg`` is about where it looks, from true north, and its greatest error.
+
+        Raises `OffMapError` for a place off the map, and `InputError` for a panorama or a fisheye
+        of unknown field of view.
+        """
+        rays = _rays_of(photo)
+        about_deg, slack_deg = heading_deg or (0.0, math.inf)
+        pose = viewer.pose(lon=lon, lat=lat, heading_deg=about_deg, fov_deg=rays.fov_deg)
+        priors = SolverPriors()
+        sds = np.concatenate([np.full(WARP, np.inf), rays.warp_sd])
+        sds[[EAST, EAST + 1]] = position_sd_m
+        # An even distribution up to the greatest error has this deviation.
+        sds[HEADING] = math.radians(slack_deg) / math.sqrt(3.0)
+        sds[PITCH], sds[ROLL] = priors.pitch_sd_rad, priors.roll_sd_rad
+        # A field of view that is known exactly has no deviation.
+        sds[LOG_SCALE] = max(rays.log_scale_sd, 1e-6)
+        height_m: float | None = pose.eye_elevation_m - float(
+            viewer.terrain.height_at(easting_m=pose.easting_m, northing_m=pose.northing_m)
+        )
+        if elevation_m is not None:
+            pose = replace(pose, eye_elevation_m=elevation_m)
+            sds[UP], height_m = PointErrors().place_sd_m, None
+        return cls(pose, np.diag(sds**-2.0), height_m)
+
+    @classmethod
+    def of_pose(cls, pose: Pose) -> "KnownCamera":
+        """Return a camera in a pose with a covariance."""
+        return cls(pose, np.linalg.inv(np.array(pose.covariance)), has_heading=True)
+
+
+def _rays_of(photo: PhotoSkyline) -> Rays:
+    """Return rays with what is known of a photo's lens."""
+    middle = np.full(photo.width_px, photo.height_px / 2.0)
+    whole = replace(photo, row_px=middle, trust=np.ones(photo.width_px), crests=None)
+    return Rays.of(whole, MatchConfig().fov_sd_share, finds_fov=True)
+
+
+def fit_points(
+    viewer: Viewer,
+    photo: PhotoSkyline,
+    points: ControlPoints,
+    known: KnownCamera,
+    errors: PointErrors | None = None,
+    name: str = "",
+) -> PointsFit:
+    """Fit a camera's pose to control points.
+
+    Raises `InputError` for too few points, and `OffMapError` for a point on the ground that is off
+    the map or on a hole.
+    """
+    if len(points) < LEAST_POINTS:
+        raise InputError(
+            f"{points.path} has {len(points)} points; expected {LEAST_POINTS} or more, and 5 or "
+            "more for a wrong one to be named"
+        )
+    fit = _Fit(viewer, photo, points, known, errors or PointErrors())
+    used = np.ones(len(points), dtype=bool)
+    best = fit.best(used)
+    while used.sum() > LEAST_POINTS + _STEPS.spare:
+        tries = []
+        for index in np.flatnonzero(used):
+            without = used.copy()
+            without[index] = False
+            tries.append((*fit.best(without), without))
+        cost, state, without = min(tries, key=lambda one: one[0])
+        if cost + fit.wrong_cost >= best[0]:
+            break
+        best, used = (cost, state), without
+    return fit.result(best[1], used, name)
+
+
+@dataclass(eq=False)
+class _Fit:
+    """Fits of one camera to one set of points."""
+
+    viewer: Viewer
+    photo: PhotoSkyline
+    points: ControlPoints
+    known: KnownCamera
+    errors: PointErrors
+    place_m: Float64Array = field(init=False)
+    """(N, 3) float64. Easting, northing and elevation of the points."""
+    place_sd_m: Float64Array = field(init=False)
+    """(N, 2) float64. Standard deviations, level and upwards."""
+
+    def __post_init__(self) -> None:
+        terrain, points = self.viewer.terrain, self.points
+        self.height_sd_m = terrain.height_sd_m
+        if self.errors.height_sd_m is not None:
+            self.height_sd_m = self.errors.height_sd_m
+        east_m, north_m = terrain.frame.from_lonlat(points.lon, points.lat)
+        ground_m = terrain.height_at(easting_m=east_m, northing_m=north_m)
+        on_ground = np.isnan(points.elevation_m)
+        off = np.flatnonzero(on_ground & np.isnan(ground_m))
+        if len(off):
+            raise OffMapError(
+                f"{points.path}: point {points.names[off[0]]} is off the DEM or on a hole; give "
+                "its elevation_m, or a DEM that holds it"
+            )
+        up_m = np.where(on_ground, ground_m, points.elevation_m)
+        self.place_m = np.stack([east_m, north_m, up_m], axis=1)
+        level = np.full(len(points), self.errors.place_sd_m)
+        self.place_sd_m = np.stack(
+            [level, np.where(on_ground, self.height_sd_m, self.errors.place_sd_m)], axis=1
+        )
+        pose = self.known.pose
+        warp = pose.wander or (0.0,) * len(WANDER_DEGREES)
+        if not self.photo.projection.is_panorama:
+            warp = (pose.distortion,)
+        self.first = np.array(
+            [pose.easting_m, pose.northing_m, pose.eye_elevation_m,
+             *np.radians([pose.grid_heading_deg, pose.pitch_deg, pose.roll_deg]), 0.0, *warp]
+        )[: len(self.known.precision)]  # fmt: skip
+
+    @property
+    def wrong_cost(self) -> float:
+        """Cost of a point that lies anywhere in the photo.
+
+        It is twice the negative log of its density over the density of a point that is right where
+        it should be.
+        """
+        pixels = self.photo.width_px * self.photo.height_px
+        right = 2.0 * math.pi * self.errors.pixel_sd_px**2
+        odds = self.errors.wrong_share / (1.0 - self.errors.wrong_share)
+        return 2.0 * (math.log(pixels / right) - math.log(odds))
+
+    def camera(self, state: Float64Array) -> Camera:
+        """Return the camera of a state."""
+        base = self.known.pose.camera(self.photo)
+        half = base.projection.half_width(base.fov_deg) * math.exp(state[LOG_SCALE])
+        warp = state[WARP:]
+        changes: dict[str, Any] = {}
+        if base.projection.is_panorama and len(warp):
+            # The rows of an image wander with its scale.
+            changes["wander"] = tuple((warp * math.exp(state[LOG_SCALE])).tolist())
+        elif len(warp):
+            changes["distortion"] = float(warp[0])
+        heading_deg, pitch_deg, roll_deg = np.degrees(state[HEADING:LOG_SCALE]).tolist()
+        return replace(
+            base,
+            fov_deg=float(base.projection.fov_deg(half)),
+            grid_heading_deg=heading_deg % 360.0,
+            pitch_deg=pitch_deg,
+            roll_deg=roll_deg,
+            **changes,
+        )
+
+    def toward(self, state: Float64Array) -> tuple[Float64Array, Float64Array, Float64Array]:
+        """Return azimuths, tangents and distances of the points from a state's eye."""
+        east_m, north_m, up_m = (self.place_m - state[: UP + 1]).T
+        away_m = np.maximum(np.hypot(east_m, north_m), 1.0)
+        tan = (up_m - self.viewer.curvature.drop_m(away_m)) / away_m
+        return np.arctan2(east_m, north_m), tan, away_m
+
+    def linear(self, state: Float64Array) -> tuple[Float64Array, Float64Array, Float64Array]:
+        """Return residuals (N, 2) in pixels, their derivatives (N, 2, P) and covariances (N, 2, 2).
+
+        A residual is a marked pixel less the pixel that shows the point, to first order.
+        """
+        camera = self.camera(state)
+        column, row = self.points.column_px, self.points.row_px
+        azimuth, tan, away_m = self.toward(state)
+        ray_deg, ray_tan = camera.directions(column, row)
+        off = np.stack([np.radians(in_turn(ray_deg - np.degrees(azimuth))), ray_tan - tan], axis=1)
+        sine, cosine = np.sin(azimuth), np.cos(azimuth)
+        by_azimuth, by_tan = camera.changes(column, row)
+        changes = np.zeros((len(column), 2, len(state)))
+        angles = len(state) - HEADING
+        changes[:, 0, HEADING:] = by_azimuth[:, :angles]
+        changes[:, 1, HEADING:] = by_tan[:, :angles]
+        # The point's own direction, as the eye moves.
+        moved = np.zeros((len(column), 2, UP + 1))
+        moved[:, 0, EAST], moved[:, 0, EAST + 1] = -cosine / away_m, sine / away_m
+        moved[:, 1, EAST], moved[:, 1, EAST + 1] = tan * sine / away_m, tan * cosine / away_m
+        moved[:, 1, UP] = -1.0 / away_m
+        changes[:, :, : UP + 1] -= moved
+        to_px = np.linalg.inv(camera.spans(column, row))
+        level_m2, up_m2 = (self.place_sd_m**2).T
+        place = np.concatenate(
+            [moved[..., :2] * level_m2[:, None, None], moved[..., 2:] * up_m2[:, None, None]],
+            axis=2,
+        )
+        spread = to_px @ (place @ moved.swapaxes(1, 2)) @ to_px.swapaxes(1, 2)
+        spread += self.errors.pixel_sd_px**2 * np.eye(2)
+        return (to_px @ off[..., np.newaxis])[..., 0], to_px @ changes, spread
+
+    def normal(
+        self, state: Float64Array, used: BoolArray
+    ) -> tuple[float, Float64Array, Float64Array]:
+        """Return the cost of a state, its gradient and the normal matrix."""
+        residual, changes, spread = (one[used] for one in self.linear(state))
+        weight = np.linalg.inv(spread)
+        off = self._off(state)
+        normal = np.einsum("nip,nij,njq->pq", changes, weight, changes) + self.known.precision
+        gradient = np.einsum("nip,nij,nj->p", changes, weight, residual)
+        gradient += self.known.precision @ off
+        cost = (
+            np.einsum("ni,nij,nj->", residual, weight, residual) + off @ self.known.precision @ off
+        )
+        if self.known.eye_height_m is not None:
+            over_m, by_move = self._over_ground(state)
+            precision = self.height_sd_m**-2.0 if self.height_sd_m else 1e6
+            normal += precision * by_move[:, np.newaxis] * by_move
+            gradient += precision * over_m * by_move
+            cost += precision * over_m**2
+        return float(cost), gradient, normal
+
+    def _off(self, state: Float64Array) -> Float64Array:
+        off: Float64Array = state - self.first
+        off[HEADING] = math.remainder(off[HEADING], 2.0 * math.pi)
+        return off
+
+    def _over_ground(self, state: Float64Array) -> tuple[float, Float64Array]:
+        """Return how much higher an eye is than usual, and its derivatives (P,)."""
+        terrain = self.viewer.terrain
+        at = state[EAST : EAST + 1], state[EAST + 1 : EAST + 2]
+        ground_m = float(terrain.height_at(easting_m=at[0], northing_m=at[1])[0])
+        if math.isnan(ground_m):
+            return 0.0, np.zeros(len(state))
+        by_move = np.zeros(len(state))
+        by_move[:UP] = -ground_slope(ground_of(terrain), *at)[0]
+        by_move[UP] = 1.0
+        return float(state[UP] - ground_m - (self.known.eye_height_m or 0.0)), by_move
+
+    def best(self, used: BoolArray) -> tuple[float, Float64Array]:
+        """Return the least cost, and its state."""
+        tries = [self.fitted(start, used, _STEPS.first) for start in self._starts(used)]
+        tries.sort(key=lambda one: one[0])
+        rest = (self.fitted(state, used, _STEPS.most) for _, state in tries[: _STEPS.followed])
+        return min(rest, key=lambda one: one[0])
+
+    def _starts(self, used: BoolArray) -> Iterator[Float64Array]:
+        """Yield states from which a fit may start: each looks so that one point is right."""
+        if self.known.has_heading:
+            yield self.first
+            return
+        level = self.first.copy()
+        level[HEADING] = 0.0
+        ray_deg, ray_tan = self.camera(level).directions(self.points.column_px, self.points.row_px)
+        azimuth, tan, _ = self.toward(level)
+        for index in np.flatnonzero(used):
+            start = level.copy()
+            start[HEADING] = azimuth[index] - math.radians(ray_deg[index])
+            start[PITCH] = math.atan(tan[index]) - math.atan(ray_tan[index])
+            yield start
+
+    def fitted(
+        self, state: Float64Array, used: BoolArray, steps: int
+    ) -> tuple[float, Float64Array]:
+        """Return the least cost from a start, and its state."""
+        cost, gradient, normal = self.normal(state, used)
+        damping = _STEPS.damping
+        for _ in range(steps):
+            scale = np.diag(np.maximum(np.diagonal(normal), 1e-12))
+            step = np.linalg.solve(normal + damping * scale, gradient)
+            new = self._bounded(state - step)
+            found = self.normal(new, used)
+            if not found[0] < cost:
+                damping *= 10.0
+                if damping > 1e6:
+                    break
+                continue
+            is_enough = cost - found[0] <= _STEPS.enough * cost
+            state, (cost, gradient, normal) = new, found
+            damping = max(0.2 * damping, 1e-9)
+            if is_enough:
+                break
+        return cost, state
+
+    def _bounded(self, state: Float64Array) -> Float64Array:
+        """Return a state within what a camera can do."""
+        projection = self.photo.projection
+        first_half = projection.half_width(self.known.pose.fov_deg)
+        widest = projection.half_width(projection.most_fov_deg)
+        bounded = state.copy()
+        bounded[PITCH] = np.clip(state[PITCH], -1.5, 1.5)
+        bounded[LOG_SCALE] = np.clip(
+            state[LOG_SCALE],
+            math.log(projection.half_width(1.0) / first_half),
+            math.log(widest / first_half),
+        )
+        if not projection.is_panorama:
+            bounded[WARP:] = np.clip(state[WARP:], -0.3, 0.3)
+        return bounded
+
+    def result(self, state: Float64Array, used: BoolArray, name: str) -> PointsFit:
+        """Return a state as a fit."""
+        residual, _, spread = self.linear(state)
+        _, _, normal = self.normal(state, used)
+        chi2 = np.einsum("ni,nij,nj->n", residual, np.linalg.inv(spread), residual)[used]
+        misfit = math.sqrt(float(chi2.mean()) / 2.0)
+        covariance = np.linalg.inv(normal)
+        camera = self.camera(state)
+        frame = self.viewer.frame
+        easting_m, northing_m, eye_m = state[: UP + 1].tolist()
+        lon, lat = map(float, frame.to_lonlat(easting_m, northing_m))
+        turn_deg = float(frame.convergence_deg(easting_m=easting_m, northing_m=northing_m))
+        (east_m2, both_m2), (_, north_m2) = covariance[:UP, :UP].tolist()
+        pose = Pose(
+            lon=lon,
+            lat=lat,
+            heading_deg=(camera.grid_heading_deg + turn_deg) % 360.0,
+            pitch_deg=camera.pitch_deg,
+            roll_deg=camera.roll_deg,
+            fov_deg=camera.fov_deg,
+            easting_m=easting_m,
+            northing_m=northing_m,
+            eye_elevation_m=eye_m,
+            convergence_deg=turn_deg,
+            cost=math.nan,
+            distortion=camera.distortion,
+            wander=camera.wander,
+            refined=True,
+            covariance_m2=((east_m2, both_m2), (both_m2, north_m2)),
+            covariance=tuple(map(tuple, covariance.tolist())),
+        )
+        azimuth, tan, _ = self.toward(state)
+        marked_px = np.stack([self.points.column_px, self.points.row_px], axis=1)
+        shown_px = np.stack(camera.pixels(np.degrees(azimuth), tan), axis=1)
+        # Ground behind the camera is in no pixel.
+        off_px = np.where(np.isfinite(shown_px), shown_px - marked_px, -residual)
+        found = PointsFit(self.photo, pose, self.points, off_px, used, misfit, name=name)
+        return replace(found, refusal=_refusal_of(found))
+
+
+def _refusal_of(found: PointsFit) -> str | None:
+    """Return why a fit cannot be trusted, or None."""
+    if found.misfit > _STEPS.most_misfit:
+        return (
+            f"the points miss the pose by {found.misfit:.1f} of their standard errors (rms); check "
+            "their pixels and places, the position and the field of view"
+        )
+    sd_deg = found.sds_deg["heading"]
+    if sd_deg > _STEPS.most_heading_sd_deg:
+        return (
+            f"the heading is known to {sd_deg:.1f} degrees alone; give more points, far apart in "
+            "the photo"
+        )
+    return None

@@ -1,0 +1,240 @@
+"""Photos laid on the ground: orthophotos, as Cloud-Optimized GeoTIFFs.
+
+Each cell of a grid on the map is looked up in the photo, where it is seen. A cell that several
+photos show has the colours of the photo that shows it with the finest pixels.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from skyline.arrays import BoolArray, Float32Array, Float64Array
+from skyline.errors import InputError, suffix_of
+from skyline.files import write_whole
+from skyline.ground import GroundErrors, GroundView
+from skyline.terrain.heightfield import HeightField
+
+ORTHO_FILES = (".tif", ".tiff")
+
+
+@dataclass(frozen=True, slots=True)
+class OrthoSettings:
+    """How far and how finely photos are laid on the ground."""
+
+    most_cells: int = 25_000_000
+    """A finer grid is made coarser."""
+    coarsest: float = 5.0
+    """Pixels that are longer on the ground than so many cells are left out."""
+    samples: int = 4000
+    """Pixels of a photo by which its detail is estimated."""
+    levels: int = 5
+    """Halvings of a photo from which cells are taken that are larger than pixels."""
+
+
+_SETTINGS = OrthoSettings()
+
+
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """Square cells on the map, in a terrain's frame."""
+
+    west_m: float
+    north_m: float
+    cell_m: float
+    rows: int
+    cols: int
+
+    def middles_m(self) -> tuple[Float64Array, Float64Array]:
+        """Return eastings and northings (rows, cols) of the cells' middles."""
+        east = self.west_m + (np.arange(self.cols) + 0.5) * self.cell_m
+        north = self.north_m - (np.arange(self.rows) + 0.5) * self.cell_m
+        easting_m, northing_m = np.meshgrid(east, north)
+        return easting_m, northing_m
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Laid:
+    """A picture on a grid.
+
+    Attributes
+    ----------
+    values : (rows, cols, C)
+        The picture's values; 0 where nothing is seen.
+    pixel_m : (rows, cols) float32
+        Length of the picture's pixels on the ground, in the direction in which they are longest;
+        NaN where nothing is seen.
+    """
+
+    values: NDArray[Any]
+    pixel_m: Float32Array
+
+    @property
+    def is_seen(self) -> BoolArray:
+        """(rows, cols) bool."""
+        return np.isfinite(self.pixel_m)
+
+
+def grid_of(views: Sequence[GroundView], resolution_m: float | None = None) -> Grid:
+    """Return the grid that holds what cameras see.
+
+    By default its cells are half as large as the median pixel is long on the ground, or larger.
+    Raises `InputError` where no camera sees ground, and for a resolution that is too fine.
+    """
+    seen = [_detail(view) for view in views]
+    place, length_m = (np.concatenate(part) for part in zip(*seen, strict=True))
+    if not len(length_m):
+        raise InputError("the photos show no ground of the DEM; check the poses and the DEM")
+    cell_m = resolution_m or float(np.median(length_m)) / 2.0
+    while True:
+        near = length_m <= _SETTINGS.coarsest * cell_m
+        if not near.any():
+            raise InputError(
+                f"the resolution is {cell_m:g} m, and all pixels are longer than "
+                f"{_SETTINGS.coarsest * cell_m:g} m on the ground; give a coarser one, of about "
+                f"{float(np.median(length_m)):.1g} m"
+            )
+        west, south = np.floor(place[near].min(axis=0) / cell_m - 1.0) * cell_m
+        east, north = np.ceil(place[near].max(axis=0) / cell_m + 1.0) * cell_m
+        rows, cols = round((north - south) / cell_m), round((east - west) / cell_m)
+        if rows * cols <= _SETTINGS.most_cells:
+            return Grid(float(west), float(north), cell_m, rows, cols)
+        coarser_m = cell_m * math.sqrt(rows * cols / _SETTINGS.most_cells)
+        if resolution_m is not None:
+            raise InputError(
+                f"the resolution is {resolution_m:g} m, which gives {rows} x {cols} cells; give "
+                f"{coarser_m:.2g} m or more"
+            )
+        cell_m = coarser_m
+
+
+def _detail(view: GroundView) -> tuple[Float64Array, Float64Array]:
+    """Return the places (N, 2) of some pixels, and their greatest lengths on the ground."""
+    camera = view.camera
+    step = max(1.0, math.sqrt(camera.width_px * camera.height_px / _SETTINGS.samples))
+    row, column = np.mgrid[0 : camera.height_px : step, 0 : camera.width_px : step]
+    points = view.points(column.ravel(), row.ravel(), GroundErrors(pixel_sd_px=0.0, height_sd_m=0))
+    points = points[~points.is_sky]
+    lengths_m = np.linalg.svd(points.by_pixel[:, :2], compute_uv=False)
+    place = np.stack([points.easting_m, points.northing_m], axis=1)
+    return place, np.asarray(lengths_m[:, 0], dtype=np.float64)
+
+
+def lay(view: GroundView, picture: NDArray[Any], grid: Grid) -> Laid:
+    """Return a picture (H, W, C) of a camera on a grid."""
+    shape = (grid.rows, grid.cols)
+    east_m, north_m = grid.middles_m()
+    found = view.pixels(east_m.ravel(), north_m.ravel())
+    column, row = (one.reshape(shape) for one in (found.column_px, found.row_px))
+    height_px, width_px = picture.shape[:2]
+    longest_m = _pixel_lengths_m(column, row, grid.cell_m)
+    with np.errstate(invalid="ignore"):
+        seen = ~found.is_hidden.reshape(shape) & (longest_m <= _SETTINGS.coarsest * grid.cell_m)
+        seen &= (column >= 0.0) & (column <= width_px - 1.0)
+        seen &= (row >= 0.0) & (row <= height_px - 1.0)
+    values = np.zeros((*shape, picture.shape[2]), dtype=picture.dtype)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        level = np.nan_to_num(np.log2(grid.cell_m / longest_m))
+    level = np.clip(np.rint(level), 0, _SETTINGS.levels).astype(int)
+    halved = picture
+    for number in range(int(level[seen].max(initial=0)) + 1):
+        if number:
+            halved = cv2.pyrDown(halved)
+        chosen = seen & (level == number)
+        if chosen.any():
+            # Pixel k of a halved picture lies over pixel 2 k.
+            at = [(one[chosen] / 2**number).astype(np.float32) for one in (column, row)]
+            values[chosen] = _sampled(halved, *at)
+    return Laid(values, np.where(seen, longest_m, np.nan).astype(np.float32))
+
+
+def _sampled(picture: NDArray[Any], column: Float32Array, row: Float32Array) -> NDArray[Any]:
+    """Return bilinear values (N, C) of a picture."""
+    width = 4096  # OpenCV's maps have at most 32767 rows and columns.
+    count = -(-len(column) // width)
+    maps = [np.resize(one, (count, width)) for one in (column, row)]
+    parts = [
+        cv2.remap(
+            picture,
+            maps[0][begin : begin + width],
+            maps[1][begin : begin + width],
+            cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_REPLICATE,
+        )
+        for begin in range(0, count, width)
+    ]
+    found = np.concatenate(parts).reshape(count * width, -1)
+    return np.asarray(found[: len(column)])
+
+
+def _pixel_lengths_m(column: Float64Array, row: Float64Array, cell_m: float) -> Float64Array:
+    """Return the greatest length of pixels on the ground, by cell."""
+    if min(column.shape) < 2:
+        return np.full(column.shape, np.nan)
+    a, b = np.gradient(column, cell_m)
+    c, d = np.gradient(row, cell_m)
+    # The least singular value of the pixels a metre.
+    total, product = a**2 + b**2 + c**2 + d**2, np.abs(a * d - b * c)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        root = np.sqrt(np.maximum(total**2 - 4.0 * product**2, 0.0))
+        return np.asarray(np.sqrt((total + root) / 2.0) / product)
+
+
+def mosaic(laid: Sequence[Laid]) -> Laid:
+    """Return pictures on one grid as one, each cell of the finest pixels."""
+    best = laid[0]
+    for other in laid[1:]:
+        finer = other.is_seen & ~(best.pixel_m <= other.pixel_m)
+        best = Laid(
+            np.where(finer[..., np.newaxis], other.values, best.values),
+            np.where(finer, other.pixel_m, best.pixel_m),
+        )
+    return best
+
+
+def write_ortho(path: Path, laid: Laid, grid: Grid, terrain: HeightField) -> None:
+    """Write red, green, blue and alpha as a Cloud-Optimized GeoTIFF.
+
+    Raises `InputError` for another suffix, and where the file cannot be written.
+    """
+    alpha = np.where(laid.is_seen, 255, 0).astype(np.uint8)
+    bands = np.concatenate([laid.values, alpha[..., np.newaxis]], axis=2)
+    _write(path, np.moveaxis(bands, -1, 0), grid, terrain, ("red", "green", "blue", "alpha"))
+
+
+def write_pixel_lengths(path: Path, laid: Laid, grid: Grid, terrain: HeightField) -> None:
+    """Write the length of pixels on the ground, metres, as `write_ortho` writes colours."""
+    _write(path, laid.pixel_m[np.newaxis], grid, terrain, ("gray",), nodata=np.nan)
+
+
+def _write(
+    path: Path,
+    bands: NDArray[Any],
+    grid: Grid,
+    terrain: HeightField,
+    colours: Sequence[str],
+    **options: Any,
+) -> None:
+    from rasterio.enums import ColorInterp  # noqa: PLC0415  (slow to load)
+    from rasterio.io import MemoryFile  # noqa: PLC0415
+    from rasterio.transform import from_origin  # noqa: PLC0415
+
+    suffix_of(path, ORTHO_FILES)
+    about = {
+        "count": len(bands),
+        "height": grid.rows,
+        "width": grid.cols,
+        "dtype": bands.dtype.name,
+        "crs": terrain.frame.wkt,
+        "transform": from_origin(grid.west_m, grid.north_m, grid.cell_m, grid.cell_m),
+    }
+    with MemoryFile() as memory:
+        with memory.open(driver="COG", compress="deflate", **about, **options) as raster:
+            raster.colorinterp = [ColorInterp[one] for one in colours]
+            raster.write(bands)
+        write_whole(path, memory.read())

@@ -1,0 +1,206 @@
+"""Shapes of photos on the map, and shapes of the map in photos, as files."""
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+from xml.etree import ElementTree as Xml
+
+import numpy as np
+
+from skyline.arrays import Float64Array
+from skyline.errors import library, printable, suffix_of
+from skyline.files import GEOJSON, write_whole
+from skyline.geodesy.map_frame import Frame
+from skyline.ground import GroundPoints
+from skyline.ground_shapes import GroundShape, PhotoShape
+from skyline.photo.skyline import PhotoSkyline
+from skyline.vectors import LINE, PHOTO_MEMBER, POINT, POLYGON
+
+MAP_FILES = (*GEOJSON, ".gpkg", ".kml")
+"""Suffixes of shapes on the map."""
+_DEGREES = 7
+"""Decimals of degrees: a centimetre on the ground."""
+_METRES = 2
+_PIXELS = 2
+_NAMES = ("name", "label", "category", "id")
+"""Properties that name a shape, the first that is there."""
+Json = dict[str, Any]
+
+
+def write_on_map(path: Path, shapes: Sequence[GroundShape], frame: Frame, photo: Path) -> None:
+    """Write a photo's shapes on the map.
+
+    Coordinates are longitudes, latitudes (WGS 84) and elevations. The errors of the drawn vertices
+    of lines and polygons are the property ``vertices`` of GeoJSON, and the layer of that name in a
+    GeoPackage; KML has errors of points alone. Raises `InputError` for another suffix, for a file
+    that cannot be written, and for a GeoPackage without GeoPandas.
+    """
+    suffix = suffix_of(path, MAP_FILES)
+    features = [_on_map(one, frame, photo) for one in shapes]
+    if suffix == ".gpkg":
+        content: str | bytes = _geopackage(path, features)
+    elif suffix == ".kml":
+        content = _kml(features)
+    else:
+        content = _collection(features)
+    write_whole(path, content)
+
+
+def write_in_photo(
+    path: Path, shapes: Sequence[PhotoShape], photo: Path, skyline: PhotoSkyline
+) -> None:
+    """Write shapes of the map in a photo's pixels, as GeoJSON.
+
+    Each part within the photo is a feature, whose property ``hidden`` says whether ground stands
+    before it. The member ``photo`` has the photo's name and size. Raises `InputError` where the
+    file cannot be written.
+    """
+    size = {"width_px": skyline.width_px, "height_px": skyline.height_px}
+    features = [
+        {
+            "type": "Feature",
+            "geometry": {
+                "type": POINT if one.shape.kind == POINT else LINE,
+                "coordinates": place[0] if one.shape.kind == POINT else place,
+            },
+            "properties": {**one.shape.properties, "hidden": hidden},
+        }
+        for one in shapes
+        for part, hidden in one.parts(skyline.width_px, skyline.height_px)
+        for place in [np.round(part, _PIXELS).tolist()]
+    ]
+    write_whole(path, _collection(features, {PHOTO_MEMBER: {"name": photo.name, **size}}))
+
+
+def _collection(features: Sequence[Json], more: Mapping[str, Any] | None = None) -> str:
+    collection = {"type": "FeatureCollection", **(more or {}), "features": features}
+    return json.dumps(collection, indent=1) + "\n"
+
+
+def _on_map(found: GroundShape, frame: Frame, photo: Path) -> Json:
+    """Return the GeoJSON feature of a shape."""
+    kind = found.shape.kind
+    rings = [_coordinates(ring, frame).tolist() for ring in found.rings]
+    coordinates: Any = rings[0][0] if kind == POINT else rings[0]
+    if kind == POLYGON:
+        # RFC 7946: outlines are counter-clockwise, holes clockwise, and all are closed.
+        coordinates = [
+            [*turned, turned[0]]
+            for number, ring in enumerate(rings)
+            for turned in [ring if _turns_left(ring) == (number == 0) else ring[::-1]]
+        ]
+    properties = {**found.shape.properties, "photo": photo.name}
+    vertices = [_errors(found.vertices, k, frame) for k in range(len(found.vertices))]
+    if kind == POINT:
+        properties |= vertices[0]
+    else:
+        properties |= {**_measures(found), "vertices": vertices}
+    return {
+        "type": "Feature",
+        "geometry": {"type": kind, "coordinates": coordinates},
+        "properties": properties,
+    }
+
+
+def _measures(found: GroundShape) -> Json:
+    """Return the figures of a line or a polygon."""
+    vertices = found.vertices
+    figures: Json = {}
+    if found.area is not None:
+        figures |= {
+            "area_m2": round(found.area.value, _METRES),
+            "area_sd_m2": round(found.area.sd, _METRES),
+        }
+    if found.length is not None and found.slope_length_m is not None:
+        figures |= {
+            "length_m": round(found.length.value, _METRES),
+            "length_sd_m": round(found.length.sd, _METRES),
+            "slope_length_m": round(found.slope_length_m, _METRES),
+        }
+    return figures | {
+        "error_m": round(float(np.median(vertices.error_m)), _METRES),
+        "grazing_share": round(float(vertices.is_grazing.mean()), 3),
+    }
+
+
+def _errors(points: GroundPoints, index: int, frame: Frame) -> Json:
+    """Return a point's place and its errors."""
+    one = points[index : index + 1]
+    major_m, minor_m, azimuth = (float(part[0]) for part in one.axes)
+    place = {"easting_m": one.easting_m, "northing_m": one.northing_m}
+    lon, lat, elevation_m = _coordinates(one, frame)[0].tolist()
+    turn_deg = np.degrees(azimuth) + float(frame.convergence_deg(**place)[0])
+    return {
+        "lon": lon,
+        "lat": lat,
+        "elevation_m": elevation_m,
+        "distance_m": round(float(one.distance_m[0]), _METRES),
+        "error_m": round(float(one.error_m[0]), _METRES),
+        "semi_major_m": round(major_m, _METRES),
+        "semi_minor_m": round(minor_m, _METRES),
+        "azimuth_deg": round(turn_deg % 180.0, 1),
+        "grazing": bool(one.is_grazing[0]),
+    }
+
+
+def _coordinates(points: GroundPoints, frame: Frame) -> Float64Array:
+    """Return longitudes, latitudes and elevations (N, 3); across the antimeridian they go on."""
+    lon, lat = frame.to_lonlat(points.easting_m, points.northing_m)
+    places = [np.unwrap(lon, period=360.0), lat, np.round(points.elevation_m, _METRES)]
+    return np.stack([*np.round(places[:2], _DEGREES), places[2]], axis=1)
+
+
+def _turns_left(ring: Sequence[Sequence[float]]) -> bool:
+    lon, lat, _ = np.transpose(ring)
+    return bool(np.sum(lon * np.roll(lat, -1) - np.roll(lon, -1) * lat) > 0.0)
+
+
+def _geopackage(path: Path, features: Sequence[Json]) -> bytes:
+    """Return a GeoPackage with a layer for each kind of shape, and one of drawn vertices."""
+    geopandas = library("geopandas", f"writing {path}")
+    layers: dict[str, list[Json]] = {}
+    for number, one in enumerate(features, start=1):
+        about = {name: value for name, value in one["properties"].items() if name != "vertices"}
+        kind = {POINT: "points", LINE: "lines", POLYGON: "polygons"}[one["geometry"]["type"]]
+        layers.setdefault(kind, []).append({**one, "properties": {"shape": number, **about}})
+        for vertex in one["properties"].get("vertices", ()):
+            place = [vertex["lon"], vertex["lat"], vertex["elevation_m"]]
+            geometry = {"type": POINT, "coordinates": place}
+            layers.setdefault("vertices", []).append(
+                {"type": "Feature", "geometry": geometry, "properties": {"shape": number, **vertex}}
+            )
+    # Layers are added in a folder of this machine: some network folders lack SQLite's file locks.
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / "shapes.gpkg"
+        for layer, some in layers.items():
+            table = geopandas.GeoDataFrame.from_features(some, crs="EPSG:4326")
+            table.to_file(file, layer=layer, driver="GPKG", mode="a" if file.exists() else "w")
+        return file.read_bytes()
+
+
+def _kml(features: Sequence[Json]) -> bytes:
+    root = Xml.Element("kml", xmlns="http://www.opengis.net/kml/2.2")
+    folder = Xml.SubElement(root, "Document")
+    for number, one in enumerate(features, start=1):
+        properties, geometry = one["properties"], one["geometry"]
+        mark = Xml.SubElement(folder, "Placemark")
+        names = (properties[name] for name in _NAMES if properties.get(name) is not None)
+        Xml.SubElement(mark, "name").text = printable(str(next(names, f"shape {number}")))
+        about = (f"{name}: {value}" for name, value in properties.items() if name != "vertices")
+        Xml.SubElement(mark, "description").text = printable("; ".join(about))
+        kind, coordinates = geometry["type"], geometry["coordinates"]
+        shape = Xml.SubElement(mark, kind)
+        if kind == POLYGON:
+            for part, ring in enumerate(coordinates):
+                side = Xml.SubElement(shape, "innerBoundaryIs" if part else "outerBoundaryIs")
+                _add_coordinates(Xml.SubElement(side, "LinearRing"), ring)
+        else:
+            _add_coordinates(shape, [coordinates] if kind == POINT else coordinates)
+    return bytes(Xml.tostring(root, encoding="utf-8", xml_declaration=True))
+
+
+def _add_coordinates(parent: Xml.Element, places: Sequence[Sequence[float]]) -> None:
+    text = " ".join(",".join(map(str, place)) for place in places)
+    Xml.SubElement(parent, "coordinates").text = text

@@ -1,0 +1,174 @@
+"""Vectors of a photo laid on the map, and vectors of the map drawn into a photo."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from skyline.camera import Projection
+from skyline.errors import InputError, suffix_of
+from skyline.files import GEOJSON, check_outputs, on_disk, write_whole
+from skyline.ground import GroundErrors, GroundView
+from skyline.ground_shapes import GroundShape, Measure, in_photo, on_ground
+from skyline.photo.photo import Photo
+from skyline.pose_file import read_posed
+from skyline.report.vector_files import MAP_FILES, write_in_photo, write_on_map
+from skyline.tasks.label import LABEL_FILES, shown_pose
+from skyline.tasks.listener import Listener
+from skyline.terrain.dem import read_dem
+from skyline.terrain.dem_files import dem_names
+from skyline.terrain.provenance import DemOptions
+from skyline.vectors import Vectors, read_vectors
+from skyline.view import Viewer
+
+PHOTO_FILES = tuple(dict.fromkeys([*GEOJSON, *LABEL_FILES]))
+"""Suffixes of shapes in a photo: in its pixels, or drawn on it."""
+_MOST_LINES = 20
+"""Shapes of which a line is printed."""
+DRAWN_FILES = tuple(dict.fromkeys([*MAP_FILES, *PHOTO_FILES]))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DrawTask:
+    """A photo, its camera's pose, vectors, and the file to write."""
+
+    photo: Path
+    pose: Path
+    """File of the pose."""
+    vectors: Path
+    """Of the photo, or of the map."""
+    dem: Sequence[str]
+    """Elevation files, or folders of them."""
+    crs: str | None = None
+    """CRS of elevation files that name none."""
+    output: Path
+    """File of the kinds of `MAP_FILES` for vectors of the photo, else of `PHOTO_FILES`."""
+    in_pixels: bool = False
+    """Whether GeoJSON that does not say so is in pixels."""
+    errors: GroundErrors = GroundErrors()  # noqa: RUF009  (it is frozen)
+    projection: Projection | None = None
+    """By default from the photo."""
+
+
+def draw_vectors(task: DrawTask, listener: Listener) -> list[str]:
+    """Write a photo's vectors on the map, or the map's in the photo.
+
+    Returns lines on what is written. Raises `InputError` for an output of another kind, for vectors
+    or a pose that do not belong to the photo, for vertices in the sky, and where nothing of the map
+    is in the photo; and as `read_vectors` and `read_pose`.
+    """
+    suffix = suffix_of(task.output, DRAWN_FILES)
+    names = dem_names(task.dem)
+    inputs = [task.photo, task.pose, task.vectors, *map(Path, map(on_disk, names))]
+    check_outputs([task.output], inputs)
+    picture, noted = read_posed(task.photo, task.pose, task.projection)
+    photo = picture.blank
+    vectors = read_vectors(task.vectors, task.photo, task.in_pixels)
+    _check_kind(task, vectors, suffix)
+    if vectors.in_pixels:
+        vectors.check_photo(task.photo, photo.width_px, photo.height_px)
+    with listener.slow("reading the elevation model"):
+        terrain = read_dem(names, DemOptions(crs=task.crs))
+    with Viewer(terrain) as viewer:
+        pose = shown_pose(noted, viewer, listener)
+        view = viewer.ground_view(pose, photo)
+        if not vectors.in_pixels:
+            with listener.slow("drawing the map into the photo"):
+                return _into_photo(task, vectors, view, picture, suffix)
+        if pose.covariance is None:
+            listener.note(
+                f"{task.pose} has no covariance, so the pose counts as exact; give the output of "
+                "`match --json` or `orient --json` for errors with the pose's own"
+            )
+        with listener.progress("following rays") as progress:
+            found = []
+            for number, shape in enumerate(vectors.shapes, start=1):
+                found.append(on_ground(view, shape, viewer.frame, task.errors))
+                progress(number, len(vectors.shapes))
+    write_on_map(task.output, found, viewer.frame, task.photo)
+    return [f"{task.output}: {_counted(len(found))} on the map", *_lines(found)]
+
+
+def _check_kind(task: DrawTask, vectors: Vectors, suffix: str) -> None:
+    """Raise `InputError` for an output that vectors of this kind do not become."""
+    known = MAP_FILES if vectors.in_pixels else PHOTO_FILES
+    if suffix not in known:
+        whose, goes = ("photo", "onto the map") if vectors.in_pixels else ("map", "into the photo")
+        other = "" if vectors.in_pixels else ", or give --pixels if they are of the photo"
+        raise InputError(
+            f"{task.vectors} has vectors of the {whose}, which go {goes}, and {task.output} is no "
+            f"such file; name a file with the suffix {', '.join(known)}{other}"
+        )
+
+
+def _into_photo(
+    task: DrawTask, vectors: Vectors, view: GroundView, picture: Photo, suffix: str
+) -> list[str]:
+    """Write vectors of the map in the photo; return lines on it."""
+    photo = picture.blank
+    shapes = [in_photo(view, shape, view.terrain.frame) for shape in vectors.shapes]
+    parts = [one.parts(photo.width_px, photo.height_px) for one in shapes]
+    if not any(parts):
+        raise InputError(
+            f"{task.vectors}: nothing of it is in the photo; give vectors of what the camera saw, "
+            "or a DEM that holds them"
+        )
+    if suffix in GEOJSON:
+        write_in_photo(task.output, shapes, task.photo, photo)
+    else:
+        from skyline.report.overlay import draw_shapes  # noqa: PLC0415  (slow to load)
+
+        write_whole(task.output, draw_shapes(photo, picture.rgb, shapes, LABEL_FILES[suffix]))
+    seen = sum(any(not hidden for _, hidden in some) for some in parts)
+    hidden = sum(bool(some) for some in parts) - seen
+    outside = len(parts) - seen - hidden
+    return [
+        f"{task.output}: {_counted(len(parts))} of the map; seen {seen}, hidden {hidden}, outside "
+        f"the photo {outside}"
+    ]
+
+
+def _counted(number: int) -> str:
+    return "1 shape" if number == 1 else f"{number} shapes"
+
+
+def _lines(found: Sequence[GroundShape]) -> list[str]:
+    """Return a line on each of a few shapes, and one on grazing views."""
+    lines = [f"  {one.shape.where}: {_in_words(one)}" for one in found[:_MOST_LINES]]
+    if len(found) > _MOST_LINES:
+        lines.append(f"  and {len(found) - _MOST_LINES} more")
+    grazing = np.concatenate([one.vertices.is_grazing for one in found])
+    if grazing.any():
+        lines.append(
+            f"  {grazing.sum()} of {len(grazing)} vertices are seen at a grazing angle: a metre of "
+            "height moves them by 20 m or more"
+        )
+    return lines
+
+
+def _in_words(one: GroundShape) -> str:
+    vertices = one.vertices
+    error = f"+- {_rounded(float(np.median(vertices.error_m)))} m"
+    if one.length is None:
+        return (
+            f"{vertices.distance_m[0]:.0f} m away, {vertices.elevation_m[0]:.0f} m high, "
+            f"its place {error}"
+        )
+    length = f"{_with_error(one.length)} m"
+    if one.area is None:
+        return f"{length} long, its vertices {error}"
+    return f"{_with_error(one.area)} m2, {length} around, its vertices {error}"
+
+
+def _with_error(measure: Measure) -> str:
+    """Return a figure and its standard error, rounded to two digits of the error."""
+    return f"{_rounded(measure.value, measure.sd)} +- {_rounded(measure.sd)}"
+
+
+def _rounded(value: float, error: float | None = None) -> str:
+    """Return a number rounded to two digits, or to two digits of its error."""
+    size = abs(value if error is None else error)
+    decimals = 1 - math.floor(math.log10(size)) if size > 0.0 else 2
+    return f"{round(value, decimals):.{max(decimals, 0)}f}"

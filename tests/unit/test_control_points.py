@@ -1,0 +1,216 @@
+"""Poses from control points of made cameras, and their files."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scenes import candidate_at, field_of, fractal
+
+from skyline.camera import Projection
+from skyline.control_points import KnownCamera, PointErrors, fit_points
+from skyline.errors import InputError, MissingFileError, OffMapError
+from skyline.geodesy.bounds import in_turn
+from skyline.photo.skyline import PhotoSkyline
+from skyline.point_files import ControlPoints, read_control_points, write_control_points
+from skyline.view import Viewer
+
+WIDTH_PX, HEIGHT_PX = 1200, 800
+FIELD = field_of(1000.0 + fractal(90, 100, 500.0, seed=4), 30.0)
+VIEWER = Viewer(FIELD)
+EXACT = PointErrors(pixel_sd_px=0.2, place_sd_m=0.2, height_sd_m=0.2)
+PIXELS = np.array([(100, 480), (350, 520), (600, 470), (800, 530), (950, 500), (1100, 560)], float)
+TRUE = replace(
+    candidate_at(1400.0, -1300.0, 131.0, 3.0, -1.0, 59.0), distortion=0.005,
+    eye_elevation_m=float(FIELD.height_at(easting_m=1400.0, northing_m=-1300.0)) + 40.0,
+)  # fmt: skip
+
+
+def photo_of(projection=Projection.PERSPECTIVE, fov_deg=60.0):
+    unknown = np.full(WIDTH_PX, np.nan), np.zeros(WIDTH_PX)
+    return PhotoSkyline(*unknown, WIDTH_PX, HEIGHT_PX, fov_deg, projection)
+
+
+def points_of(pose=TRUE, pixels=PIXELS, wrong=None, photo=None, with_elevation=True):
+    """Return what pixels show from a pose; one of them is marked 60 px beside."""
+    view = VIEWER.ground_view(pose, photo or photo_of())
+    found = view.points(*pixels.T)
+    assert not found.is_sky.any()
+    lon, lat = FIELD.frame.to_lonlat(found.easting_m, found.northing_m)
+    # A ray may have passed a quarter of a pixel aside.
+    back = view.pixels(found.easting_m, found.northing_m)
+    marked = np.stack([back.column_px, back.row_px], axis=1)
+    if wrong is not None:
+        marked[wrong] += (60.0, 25.0)
+    return ControlPoints(
+        path=Path("p.csv"), names=tuple("ABCDEF"[: len(pixels)]), column_px=marked[:, 0],
+        row_px=marked[:, 1], lon=lon, lat=lat,
+        elevation_m=found.elevation_m if with_elevation else np.full(len(pixels), np.nan),
+    )  # fmt: skip
+
+
+def known_at(photo=None, **given):
+    """Return a camera known to stand 30 m beside the true one, at its elevation."""
+    lon, lat = map(float, FIELD.frame.to_lonlat(TRUE.easting_m + 30.0, TRUE.northing_m))
+    given = {"elevation_m": TRUE.eye_elevation_m} | given
+    return KnownCamera.at(
+        VIEWER, photo or photo_of(), lon=lon, lat=lat, position_sd_m=50.0, **given
+    )
+
+
+def off_deg(found, pose=TRUE):
+    return abs(float(in_turn(found.pose.grid_heading_deg - pose.grid_heading_deg)))
+
+
+def test_points_give_the_place_the_attitude_and_the_lens():
+    found = fit_points(VIEWER, photo_of(), points_of(), known_at(), EXACT)
+    assert off_deg(found) < 0.05
+    assert found.pose.distance_m(TRUE) < 3.0
+    for name in ("pitch_deg", "roll_deg", "fov_deg"):
+        assert getattr(found.pose, name) == pytest.approx(getattr(TRUE, name), abs=0.1)
+    assert (found.wrong, found.refusal) == ((), None)
+    assert np.abs(found.residual_px).max() < 0.5
+    assert found.misfit < 1.0
+
+
+@pytest.mark.parametrize("wrong", range(6))
+def test_one_wrong_point_of_six_is_named_and_moves_nothing(wrong):
+    found = fit_points(VIEWER, photo_of(), points_of(wrong=wrong), known_at(), EXACT)
+    assert found.wrong == ("ABCDEF"[wrong],)
+    assert off_deg(found) < 0.1
+    # It appears where it should have been marked.
+    np.testing.assert_allclose(found.residual_px[wrong], (-60.0, -25.0), atol=3.0)
+    assert "wrong: left out" in found.to_text()
+    assert [one["used"] for one in found.to_dict()["points"]].index(False) == wrong
+
+
+def test_standard_errors_are_as_large_as_errors():
+    off, sd = [], []
+    rng = np.random.default_rng(3)
+    exact = points_of()
+    for _ in range(12):
+        noise = rng.normal(0.0, 2.0, (2, 6))
+        points = replace(
+            exact, column_px=exact.column_px + noise[0], row_px=exact.row_px + noise[1]
+        )
+        errors = replace(EXACT, pixel_sd_px=2.0)
+        found = fit_points(VIEWER, photo_of(), points, known_at(), errors)
+        off.append(off_deg(found))
+        sd.append(found.sds_deg["heading"])
+    # Of 12 errors about 11 are below two standard errors.
+    assert (np.array(off) < 2.0 * np.array(sd)).sum() >= 9
+    assert np.median(off) > 0.1 * np.median(sd)
+
+
+def test_points_on_the_ground_need_no_elevation():
+    points = points_of(with_elevation=False)
+    found = fit_points(VIEWER, photo_of(), points, known_at(), replace(EXACT, height_sd_m=1.0))
+    assert off_deg(found) < 0.1
+
+
+def test_a_pose_is_refined_within_its_covariance():
+    before = replace(
+        TRUE, heading_deg=TRUE.heading_deg + 0.8, easting_m=TRUE.easting_m + 10.0, distortion=0.0,
+        covariance=tuple(map(tuple, np.diag([400.0, 400.0, 25.0, 4e-4, 1e-4, 1e-4, 1e-3, 1e-3]))),
+    )  # fmt: skip
+    found = fit_points(VIEWER, photo_of(), points_of(), KnownCamera.of_pose(before), EXACT)
+    assert off_deg(found) < 0.05
+    assert np.sqrt(found.pose.covariance[3][3]) < 0.2 * 2e-2
+
+
+def test_a_panorama_is_oriented_too():
+    photo = photo_of(Projection.CYLINDRICAL, 120.0)
+    pose = replace(TRUE, distortion=0.0, fov_deg=120.0, pitch_deg=1.0, roll_deg=0.5)
+    points = points_of(pose, photo=photo)
+    found = fit_points(VIEWER, photo, points, known_at(photo), EXACT)
+    assert off_deg(found, pose) < 0.2
+
+
+def test_too_few_points_and_points_off_the_map_are_refused():
+    points = points_of()
+    two = replace(
+        points, names=("A", "B"), column_px=points.column_px[:2], row_px=points.row_px[:2],
+        lon=points.lon[:2], lat=points.lat[:2], elevation_m=points.elevation_m[:2],
+    )  # fmt: skip
+    with pytest.raises(InputError):
+        fit_points(VIEWER, photo_of(), two, known_at(), EXACT)
+    off = replace(points, lat=points.lat + 1.0, elevation_m=np.full(6, np.nan))
+    with pytest.raises(OffMapError):
+        fit_points(VIEWER, photo_of(), off, known_at(), EXACT)
+
+
+def test_a_pose_that_points_do_not_fit_is_not_trusted():
+    points = points_of()
+    mixed = replace(
+        points, row_px=points.row_px[::-1].copy(), column_px=points.column_px[::-1].copy()
+    )
+    assert fit_points(VIEWER, photo_of(), mixed, known_at(), EXACT).refusal
+
+
+@pytest.fixture
+def read(tmp_path):
+    def read_as(name, text):
+        (tmp_path / name).write_text(text)
+        return read_control_points(tmp_path / name)
+
+    return read_as
+
+
+def test_points_in_csv(read):
+    found = read(
+        "p.csv",
+        "name,column_px,row_px,lon,lat,elevation_m\nHut,10,20.5,9.8,46.7,1900\n,1,2,9,46,\n",
+    )
+    assert found.names == ("Hut", "2")
+    assert (found.column_px[0], found.row_px[0]) == (10.0, 20.5)
+    assert (found.lon[0], found.lat[0], found.elevation_m[0]) == (9.8, 46.7, 1900.0)
+    assert np.isnan(found.elevation_m[1])
+
+
+@pytest.mark.parametrize("pixel", ["source", "pixel"])
+def test_points_of_qgis_count_from_the_corner_and_may_be_disabled(read, pixel):
+    text = f"""#CRS: EPSG:32632
+mapX,mapY,{pixel}X,{pixel}Y,enable,dX,dY,residual
+500000,5094000,10.5,-20.5,1,0,0,0
+500000,5094000,11,-21,0,0,0,0
+"""
+    found = read("p.points", text)
+    assert len(found) == 1
+    assert (found.column_px[0], found.row_px[0]) == (10.0, 20.0)
+    np.testing.assert_allclose((found.lon[0], found.lat[0]), (9.0, 46.0), atol=0.01)
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".points"])
+def test_points_are_read_as_they_are_written(tmp_path, suffix):
+    points = points_of(with_elevation=suffix == ".csv")
+    path = tmp_path / f"p{suffix}"
+    write_control_points(path, points, np.full((6, 2), 0.25), np.ones(6, dtype=bool))
+    found = read_control_points(path)
+    for name in ("column_px", "row_px", "lon", "lat", "elevation_m"):
+        np.testing.assert_allclose(getattr(found, name), getattr(points, name), atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("p.csv", "x,y\n1,2\n"),
+        ("p.csv", "column_px,row_px,lon,lat,colour\n1,2,9,46,red\n"),
+        ("p.csv", "column_px,row_px,lon,lat\n1,2,9,146\n"),
+        ("p.points", "mapX,mapY,sourceX,sourceY,enable\n500000,5094000,1,-2,1\n"),
+        ("p.points", "#CRS: nowhere\nmapX,mapY,sourceX,sourceY,enable\n9,46,1,-2,1\n"),
+        ("p.txt", "column_px,row_px,lon,lat\n1,2,9,46\n"),
+    ],
+)
+def test_files_that_are_no_points_are_refused(read, name, text):
+    with pytest.raises(InputError):
+        read(name, text)
+
+
+def test_a_missing_file_of_points_is_told(tmp_path):
+    with pytest.raises(MissingFileError):
+        read_control_points(tmp_path / "none.csv")
+
+
+def test_points_outside_the_photo_are_of_another(tmp_path):
+    with pytest.raises(InputError):
+        points_of().check_photo(tmp_path / "a.jpg", 1100, 800)
