@@ -29,8 +29,8 @@ def page(chromium, served):
     made = Page(chromium, served)
     yield made
     severe = (entry for entry in chromium.get_log("browser") if entry["level"] == "SEVERE")
-    # The log also holds what the server refuses with words, and, some time after, that Chromium left
-    # a page of an earlier test with its strokes unsaved.
+    # The log also holds what the server refuses with words, and, some time after, that Chromium
+    # left a page of an earlier test with its strokes unsaved.
     expected = ("status of 400", "'beforeunload' confirmation panel")
     messages = [entry["message"] for entry in severe]
     assert [said for said in messages if not any(one in said for one in expected)] == []

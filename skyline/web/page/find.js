@@ -1,6 +1,6 @@
 // The search: start, progress and cancellation, and the list of its candidates.
 import * as server from "./server.js";
-import { $, degrees, element, emit, mapLink, on, percent, report, settle, showStatus, state } from "./state.js";
+import { $, degrees, element, emit, mapLink, on, percent, report, settle, showStatus, state, toView } from "./state.js";
 import { known, standing } from "./known.js";
 import { leave, toCandidate } from "./hand.js";
 import { choose as choosePhoto } from "./photos.js";
@@ -43,6 +43,7 @@ function ended(photo, outcome) {
   emit("result");
   show();
   if (photo.result.candidates.length) choose(0);
+  toView("answer");
 }
 
 // Ends a search that was begun before the page was loaded again.
@@ -139,6 +140,7 @@ export function start() {
     $("bar").value = 0;
     $("step").textContent = "";
     find(state.photo);
+    toView("progress");
   };
   $("find-all").onclick = findAll;
   $("cancel").onclick = () => server.cancel(state.photo).catch((error) => report(error, "search"));
@@ -157,5 +159,6 @@ export function start() {
   on("photo", (photo) => {
     show();
     if (photo?.result) choose(0);
+    toView(photo?.result ? "answer" : "find");
   });
 }

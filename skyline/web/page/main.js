@@ -9,6 +9,7 @@ import * as photos from "./photos.js";
 import * as saving from "./save.js";
 import * as server from "./server.js";
 import { $, report, state } from "./state.js";
+import * as touch from "./touch.js";
 import * as view from "./view.js";
 
 try {
@@ -18,7 +19,7 @@ try {
     ? `Photos go to ${state.store.machine}, the machine that serves this page, and to no other. Over a network they are sent unencrypted.`
     : "Photos stay on this machine.";
   const opened = await server.begin(photos.restore);
-  for (const part of [kept, view, hand, map, known, find, saving, brush]) part.start();
+  for (const part of [kept, view, touch, hand, map, known, find, saving, brush]) part.start();
   document.documentElement.dataset.ready = "yes";
   await photos.start(opened);
 } catch (error) {

@@ -1,6 +1,6 @@
 // The map: relief from the elevation model, candidates and their views, the camera, the circle.
 import * as server from "./server.js";
-import { $, ARROWS, alertUser, degrees, element, on, percent, state, emit } from "./state.js";
+import { $, ARROWS, alertUser, degrees, element, isPhone, on, onPhone, percent, state, emit } from "./state.js";
 import { moveTo, placeAt, release } from "./hand.js";
 import { showCircle, standing } from "./known.js";
 
@@ -53,7 +53,7 @@ function showCandidates() {
 
 function drawView(pose, isBest) {
   const share = pose.confidence ?? 0.3;
-  const color = isBest ? "#ffd23f" : "#cfe8f5";
+  const color = isBest ? "#d1103d" : "#1f5fbf";
   const opacities = { opacity: 0.4 + 0.6 * share, fillOpacity: 0.06 + 0.22 * share };
   L.polygon(view(pose), { color, weight: 1.5, ...opacities, interactive: false }).addTo(spots);
 }
@@ -85,7 +85,7 @@ function showNoted(photo) {
 function goToResult() {
   const result = standing();
   const shown = result?.answered ? result.candidates.slice(0, 1) : result?.candidates ?? [];
-  if (shown.length) map.fitBounds(L.latLngBounds(shown.flatMap(({ pose }) => view(pose))).pad(0.1), { maxZoom: 15, animate: false });
+  if (shown.length) map.fitBounds(L.latLngBounds(shown.flatMap(({ pose }) => view(pose))).pad(0.1), { maxZoom: 15, animate: false, paddingTopLeft: [50, 0] });
 }
 
 function showCamera() {
@@ -217,8 +217,15 @@ function addRelief(terrain) {
   L.tileLayer("relief/{z}/{x}/{y}.png", { bounds, maxZoom: 18, noWrap }).addTo(map);
 }
 
+// On a phone one finger scrolls the page, and two move the map.
+function takeFingers() {
+  map.dragging[isPhone() ? "disable" : "enable"]();
+}
+
 export function start() {
   makeMap(state.store);
+  takeFingers();
+  onPhone(takeFingers);
   makeCamera();
   makeCircle();
   showWhere();

@@ -17,6 +17,8 @@ function list() {
   const opening = !state.photo && state.photos.some((photo) => photo.state === "opening");
   $("busy").hidden = !loading && !opening;
   $("welcome").hidden = Boolean(state.photo) || opening;
+  document.querySelector("main").classList.toggle("portrait", state.photo?.height_px > state.photo?.width_px);
+  if (state.photo?.width_px) $("stage").style.setProperty("--shape", state.photo.width_px / state.photo.height_px);
   const kept = keptFor(state.photos);
   $("kept").textContent = kept.length ? `Strokes that are not saved are kept for ${kept.join(", ")}: add the photo again to go on.` : "";
   for (const id of ["tools", "legend"]) $(id).hidden = !state.photo;
@@ -174,11 +176,13 @@ async function takeUp(photo, given) {
 }
 
 export async function start(opened) {
-  for (const id of ["choose", "add"]) $(id).onclick = () => $("files").click();
-  $("files").onchange = () => {
-    add($("files").files);
-    $("files").value = "";
-  };
+  for (const [files, buttons] of Object.entries({ files: ["choose", "add"], taken: ["take", "take-more"] })) {
+    for (const id of buttons) $(id).onclick = () => $(files).click();
+    $(files).onchange = () => {
+      add($(files).files);
+      $(files).value = "";
+    };
+  }
   dropping();
   on("states", list);
   on("connected", async () => {

@@ -49,6 +49,18 @@ export function element(tag, attributes = {}, ...children) {
 // The widest field of view that a photo may have: above 120 degrees it is a panorama.
 export const widest = (photo) => (photo?.fov_deg > 120 ? 360 : 120);
 
+const PHONE = matchMedia("(max-width: 640px), (max-height: 480px)");
+
+// Whether the page is one column that scrolls, and is worked by finger: as in page.css.
+export const isPhone = () => PHONE.matches && matchMedia("(pointer: coarse)").matches;
+
+export const onPhone = (handler) => PHONE.addEventListener("change", handler);
+
+// Scrolls what is next to be used into view, where the page scrolls.
+export function toView(id) {
+  if (PHONE.matches) $(id).scrollIntoView({ block: "nearest" });
+}
+
 export function showStatus(text) {
   $("status").textContent = text;
 }
