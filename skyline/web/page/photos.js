@@ -17,8 +17,10 @@ function list() {
   const opening = !state.photo && state.photos.some((photo) => photo.state === "opening");
   $("busy").hidden = !loading && !opening;
   $("welcome").hidden = Boolean(state.photo) || opening;
-  document.querySelector("main").classList.toggle("portrait", state.photo?.height_px > state.photo?.width_px);
-  if (state.photo?.width_px) $("stage").style.setProperty("--shape", state.photo.width_px / state.photo.height_px);
+  const { width_px, height_px } = state.photo ?? {};
+  const panes = document.querySelector("main");
+  panes.classList.toggle("portrait", height_px > width_px);
+  if (width_px) panes.style.setProperty("--shape", width_px / height_px);
   const kept = keptFor(state.photos);
   $("kept").textContent = kept.length ? `Strokes that are not saved are kept for ${kept.join(", ")}: add the photo again to go on.` : "";
   for (const id of ["tools", "legend"]) $(id).hidden = !state.photo;
