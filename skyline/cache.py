@@ -176,6 +176,12 @@ def prepare_area(
             return made
 
 
+def store_of(path: Path) -> Path:
+    """Return the store of an area's folder; other paths stay as they are."""
+    store = path / _STORE
+    return store if store.is_file() else path
+
+
 def cached_areas() -> list[CachedArea]:
     """Return the areas in the cache, by origin and bounds."""
     with _explained():

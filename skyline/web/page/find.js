@@ -1,11 +1,12 @@
 // The search: start, progress and cancellation, and the list of its candidates.
 import * as server from "./server.js";
-import { $, degrees, element, emit, mapLink, on, percent, report, settle, showStatus, state, toView } from "./state.js";
+import { $, degrees, element, emit, mapLink, on, percent, report, setGround, settle, showStatus, state, toView } from "./state.js";
 import { known, standing } from "./known.js";
 import { leave, toCandidate } from "./hand.js";
 import { choose as choosePhoto } from "./photos.js";
 
-const STEPS = { waiting: "waiting for another search", screening: "comparing all places", fitting: "fitting the best", refining: "rendering around the best", done: "done" };
+const STEPS = { waiting: "waiting for another search", screening: "comparing all places", fitting: "fitting the best", refining: "rendering around the best", done: "done",
+  "fetching tiles": "fetching elevation", "building the store": "rendering the area's skylines" };
 
 const CANCELLED = "cancelled";
 const awaited = new Set(); // photos whose searches this page has begun
@@ -35,7 +36,9 @@ async function find(photo) {
 
 function ended(photo, outcome) {
   photo.state = outcome;
+  photo.ground = photo.result?.ground ?? photo.ground;
   if (photo !== state.photo) return;
+  setGround(photo.ground);
   if (outcome === "ready") return showStatus("The search ended without a result");
   // Until a candidate is chosen, the pose does not belong to this search.
   leave();
@@ -84,6 +87,7 @@ function show() {
   const busy = photo?.state === "matching";
   $("find").disabled = !photo || busy;
   $("progress").hidden = !busy;
+  $("find-hint").hidden = Boolean(!photo || photo.ground || busy);
   $("answer").replaceChildren(...(photo?.result && !busy ? verdict(standing()) : []));
   list(busy ? [] : standing()?.candidates ?? []);
 }

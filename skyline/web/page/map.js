@@ -2,14 +2,17 @@
 import * as server from "./server.js";
 import { $, ARROWS, alertUser, degrees, element, isPhone, on, onPhone, percent, state, emit } from "./state.js";
 import { moveTo, placeAt, release } from "./hand.js";
-import { showCircle, standing } from "./known.js";
+import { searchAround, showCircle, standing } from "./known.js";
 
 const L = window.L;
 const REACH_M = 2000; // how far a view is drawn
 const HANDLE_PX = [74, 102, 130]; // distances of the handle from the camera, the first that is free
 const APART_PX = 26;
+const STEPS_DEG = [30, 10, 5, 2, 1, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01]; // between lines on an empty map
 const EARTH_M = 6371008.8;
 let map;
+let relief = null; // of the ground
+let frame; // of the ground; without one, lines of latitude and longitude
 let camera;
 let handle; // of the direction
 let cone; // the view of the camera
@@ -147,18 +150,20 @@ function makeCamera() {
 
 // Draws the circle that limits the search, unless its radius is null.
 function drawCircle(km) {
+  state.circle ??= middle();
   if (km !== null) circle.setRadius(1000 * km);
   for (const one of [circle, centre]) {
     one.setLatLng(onMap(state.circle.lat, state.circle.lon));
     km === null ? one.remove() : one.addTo(map);
   }
+  // Without a ground, the circle is all that there is to see.
+  if (km !== null && !state.ground) map.fitBounds(circle.getBounds(), { animate: false });
 }
 
 export const middle = () => offMap(map.getCenter());
 
 function makeCircle() {
-  const place = box(state.store.area).getCenter();
-  state.circle = offMap(place);
+  const place = map.getCenter();
   circle = L.circle(place, { radius: 3000, color: "#ff9f6b", weight: 2, dashArray: "6 4", fillOpacity: 0.05, interactive: false });
   centre = L.marker(place, { icon: icon("centre", 18), draggable: true, title: "Middle of the circle: drag it, or arrow keys", alt: "Middle of the circle" });
   const moved = () => {
@@ -183,7 +188,7 @@ function showWhere() {
   const at = (shown) => {
     const place = offMap(shown);
     where.textContent = degrees(place.lon, place.lat);
-    server.send({ type: "height", ...place, seq: ++asked });
+    server.send({ type: "height", ...place, ground: state.ground?.id, seq: ++asked });
   };
   map.on("mousemove", (event) => at(event.latlng));
   map.on("moveend", () => at(map.getCenter()));
@@ -197,24 +202,60 @@ function showWhere() {
 const eastOf = (west, east) => (east < west ? east + 360 : east);
 const box = ([west, south, east, north]) => L.latLngBounds([south, west], [north, eastOf(west, east)]);
 
-function makeMap({ area, terrain }) {
-  const [west, , east] = area;
-  middleLon = (west + eastOf(west, east)) / 2;
-  map = L.map("map", { attributionControl: false, maxZoom: 18, minZoom: 3, zoomSnap: 0.5 });
-  if (terrain) addRelief(terrain);
-  else alertUser("The store's DEM is not at hand: the page shows no relief and renders no skyline. Start skyline serve with --dem DEM.", "dem");
-  L.rectangle(box(area), { color: "#fff", weight: 1.5, dashArray: "2 5", fill: false, interactive: false }).addTo(map);
+function makeMap() {
+  map = L.map("map", { attributionControl: false, maxZoom: 18, minZoom: 1, zoomSnap: 0.5 }).setView([0, 0], 1);
   L.control.scale({ imperial: false }).addTo(map);
-  map.fitBounds(box(area), { padding: [8, 8] });
+  frame = L.layerGroup().addTo(map);
+  map.on("moveend", () => state.ground || showDegrees());
+  map.on("click", ({ latlng }) => state.ground || searchAround(offMap(latlng)));
   noted = L.layerGroup().addTo(map);
   spots = L.layerGroup().addTo(map);
 }
 
-function addRelief(terrain) {
+// Shows the relief and the outline of the stores that are searched.
+function showGround(ground) {
+  relief?.remove();
+  relief = null;
+  frame.clearLayers();
+  if (!ground) return showDegrees();
+  const { area, terrain } = ground;
+  const [west, , east] = area;
+  middleLon = (west + eastOf(west, east)) / 2;
+  if (terrain) addRelief(ground);
+  else alertUser("The store's DEM is not at hand: the page shows no relief and renders no skyline. Start skyline serve with --dem DEM.", "dem");
+  L.rectangle(box(area), { color: "#fff", weight: 1.5, dashArray: "2 5", fill: false, interactive: false }).addTo(frame);
+  map.fitBounds(box(area), { padding: [8, 8], animate: false });
+  if (!map.hasLayer(circle)) state.circle = middle();
+}
+
+// Draws lines of latitude and longitude, named, a few on each side.
+function showDegrees() {
+  frame.clearLayers();
+  const seen = map.getBounds();
+  const [west, south, east, north] = [seen.getWest(), seen.getSouth(), seen.getEast(), seen.getNorth()];
+  const line = (from, to, name, offset) => L.polyline([from, to], { color: "#79838c", weight: 1, interactive: false })
+    .bindTooltip(name, { permanent: true, direction: "right", offset, className: "degrees" }).addTo(frame).openTooltip(from);
+  for (const lat of linesBetween(Math.max(-80, south), Math.min(80, north), 3)) {
+    line([lat, west], [lat, east], degreesOf(lat, "N", "S"), [0, 0]);
+  }
+  for (const lon of linesBetween(west, east, 5)) {
+    line([north, lon], [south, lon], degreesOf(offMap({ lat: 0, lng: lon }).lon, "E", "W"), [0, 10]);
+  }
+}
+
+function linesBetween(from, to, least) {
+  const step = STEPS_DEG.find((one) => one * least < to - from) ?? STEPS_DEG.at(-1);
+  const first = Math.ceil(from / step);
+  return Array.from({ length: Math.max(0, Math.floor(to / step) - first + 1) }, (_, k) => (first + k) * step);
+}
+
+const degreesOf = (value, above, below) => `${Number(Math.abs(value).toFixed(2))}° ${value < 0 ? below : above}`;
+
+function addRelief({ id, terrain }) {
   // Leaflet compares tiles with bounds within one turn only.
   const noWrap = terrain[0] < terrain[2];
   const bounds = noWrap ? box(terrain) : undefined;
-  L.tileLayer("relief/{z}/{x}/{y}.png", { bounds, maxZoom: 18, noWrap }).addTo(map);
+  relief = L.tileLayer(`relief/${id}/{z}/{x}/{y}.png`, { bounds, maxZoom: 18, noWrap, zIndex: 0 }).addTo(map);
 }
 
 // On a phone one finger scrolls the page, and two move the map.
@@ -223,7 +264,7 @@ function takeFingers() {
 }
 
 export function start() {
-  makeMap(state.store);
+  makeMap();
   takeFingers();
   onPhone(takeFingers);
   makeCamera();
@@ -233,6 +274,8 @@ export function start() {
   $("near-here").onclick = () => showCircle(middle());
   $("place-here").onclick = () => placeAt(middle());
   new ResizeObserver(() => map.invalidateSize()).observe($("map"));
+  showGround(null);
+  on("ground", showGround);
   on("pose", showCamera);
   on("circle", drawCircle);
   for (const name of ["photo", "result", "chosen", "left", "known", "skyline"]) on(name, showCandidates);

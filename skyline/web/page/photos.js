@@ -1,6 +1,6 @@
 // The list of photos, added by dropping or choosing files, each with its state.
 import * as server from "./server.js";
-import { $, alertUser, element, emit, on, report, setPhoto, settle, showStatus, state } from "./state.js";
+import { $, alertUser, element, emit, on, report, setGround, setPhoto, settle, showStatus, state } from "./state.js";
 import { buttons, forget, resume, showShare, showSkyline, traceFrom } from "./brush.js";
 import { leave } from "./hand.js";
 import { keptFor, workOn } from "./kept.js";
@@ -42,6 +42,7 @@ export async function choose(photo) {
   if (["waiting", "opening", ...LOST].includes(photo.state)) return;
   if (!photo.id && !(await open(photo, () => server.openGiven(photo.given)).catch(() => false))) return;
   setPhoto(photo);
+  setGround(photo.ground);
   forget();
   loading = true;
   show(null);
@@ -93,7 +94,7 @@ async function open(photo, opened, failed = "unusable") {
 // Opens all photos again, after the server was started again. It has no searches then.
 export async function restore() {
   const about = await server.about();
-  if (JSON.stringify(about) !== JSON.stringify(state.store)) {
+  if (JSON.stringify(about) !== JSON.stringify(state.server)) {
     alertUser("The server was started again with another store or other photos: reload the page.", "store");
   }
   for (const photo of state.photos.filter((one) => one.content && one.state !== "missing" && !server.isOpen(one))) {
@@ -140,6 +141,7 @@ async function drop(photo) {
   state.photos = state.photos.filter((one) => one !== photo);
   if (photo === state.photo) {
     setPhoto(null);
+    setGround(state.server.ground);
     loading = false;
     show(null);
     showStatus("");
@@ -191,7 +193,7 @@ export async function start(opened) {
     if (state.photo && !state.rows) await choose(state.photo);
     await openWaiting();
   });
-  const { given } = state.store;
+  const { given } = state.server;
   for (const photo of opened) await takeUp(photo, given.indexOf(photo.name));
   const others = given.map((name, index) => ({ name, given: index, state: "ready" }));
   const names = opened.map((photo) => photo.name);

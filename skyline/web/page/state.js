@@ -14,7 +14,8 @@ const OF_PHOTO = {
 };
 
 export const state = {
-  store: null, // the server's description of the store
+  server: null, // the server's description of itself
+  ground: null, // the stores in which the photo is searched; null if its area was not made yet
   photos: [], // records in the list's order
   circle: null, // {lon, lat}, the middle of the circle that limits the search
   typing: false, // whether a number of the pose is being typed
@@ -24,6 +25,13 @@ export const state = {
 
 // Another photo is shown, or none: nothing is known of it yet.
 export const setPhoto = (photo) => Object.assign(state, OF_PHOTO, { photo });
+
+// The photo that is shown is searched in other stores, or in none yet.
+export function setGround(ground) {
+  if (ground?.id === state.ground?.id) return;
+  state.ground = ground;
+  emit("ground", ground);
+}
 
 const events = new EventTarget();
 
