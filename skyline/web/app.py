@@ -69,6 +69,7 @@ class PageApp:
             Route("/", _page),
             Route("/state", self._state),
             Route("/relief/{ground}/{zoom:int}/{x:int}/{y:int}.png", self._relief),
+            Route("/names/{ground}", self._names),
             Route("/session", self._begin, methods=["POST"]),
             Route("/session/{session}", self._all),
             WebSocketRoute("/session/{session}/live", self._live),
@@ -115,6 +116,10 @@ class PageApp:
         except InputError:
             return Response(status_code=404)
         return Response(tile, media_type="image/png", headers={"Cache-Control": "max-age=3600"})
+
+    async def _names(self, request: Request) -> Response:
+        ground = self._engine.grounds.get(request.path_params["ground"])
+        return JSONResponse([] if ground is None else ground.names)
 
     async def _begin(self, _: Request) -> Response:
         session = self._sessions.begin()

@@ -19,6 +19,8 @@ from skyline import (
     stand_at,
 )
 
+MAX_ZOOM = 18
+"""Greatest zoom of the page's map."""
 _NAME_LENGTH = 100
 
 
@@ -80,8 +82,24 @@ class Ground:
                 self.matcher.frame.box_deg(easting_m=eyes.easting_m, northing_m=eyes.northing_m)
             ),
             "terrain": self.relief and list(self.relief.bounds_deg),
+            "contours_m": [self.relief.contours_m(zoom) for zoom in range(MAX_ZOOM + 1)]
+            if self.relief
+            else None,
             "peaks": self._viewer is not None and self.peaks is not None,
         }
+
+    @cached_property
+    def names(self) -> list[tuple[str, float, float]]:
+        """The gazetteer's names with longitude and latitude, the highest places first."""
+        peaks, terrain = self.peaks, self.matcher.terrain
+        if peaks is None:
+            return []
+        lon, lat = self.matcher.frame.to_lonlat(peaks.easting_m, peaks.northing_m)
+        height_m = peaks.height_m
+        if terrain is not None:
+            height_m = terrain.height_at(easting_m=peaks.easting_m, northing_m=peaks.northing_m)
+        order = np.argsort(-np.nan_to_num(height_m), kind="stable")
+        return [(peaks.names[k], round(float(lon[k]), 6), round(float(lat[k]), 6)) for k in order]
 
     def height_m(self, lon: float, lat: float) -> float | None:
         """Return the terrain's height at a position; None where unknown."""

@@ -8,10 +8,13 @@ const L = window.L;
 const REACH_M = 2000; // how far a view is drawn
 const HANDLE_PX = [74, 102, 130]; // distances of the handle from the camera, the first that is free
 const APART_PX = 26;
+const MOST_NAMES = 60;
 const STEPS_DEG = [30, 10, 5, 2, 1, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01]; // between lines on an empty map
 const EARTH_M = 6371008.8;
 let map;
 let relief = null; // of the ground
+let named; // the names
+let names = []; // of the gazetteer, with longitude and latitude
 let frame; // of the ground; without one, lines of latitude and longitude
 let camera;
 let handle; // of the direction
@@ -46,12 +49,60 @@ function view(pose) {
 function showCandidates() {
   spots.clearLayers();
   const result = standing();
-  result?.candidates.forEach((candidate, index) => {
+  const candidates = [...(result?.candidates ?? []).entries()].reverse(); // the best is drawn over the others
+  for (const [index, { pose, ellipse }] of candidates) {
     const isBest = index === 0 && result.answered;
-    drawView(candidate.pose, isBest);
-    if (candidate.ellipse && index === state.chosen) drawEllipse(candidate.ellipse);
-    drawSpot(candidate.pose, index, isBest);
-  });
+    drawView(pose, isBest);
+    if (ellipse && index === state.chosen) drawEllipse(ellipse);
+    drawSpot(pose, index, isBest);
+  }
+  showLegend();
+}
+
+// Explains the marks that are on the map.
+function showLegend() {
+  const result = standing();
+  const candidates = result?.candidates ?? [];
+  const interval_m = state.ground?.contours_m?.[Math.round(map.getZoom())];
+  const shown = {
+    camera: state.pose,
+    best: result?.answered,
+    spots: candidates.length > (result?.answered ? 1 : 0),
+    ellipse: candidates[state.chosen]?.ellipse,
+    noted: state.photo?.lonlat_deg,
+    circle: map.hasLayer(circle),
+    names: names.length,
+    area: state.ground,
+    contours: interval_m,
+  };
+  $("contours").textContent = `contours every ${interval_m} m, darker every ${5 * interval_m} m`;
+  for (const item of $("map-legend").children) item.hidden = !shown[item.dataset.of];
+}
+
+// Names what is in sight, the highest first, as far as there is room.
+function showNames() {
+  named.clearLayers();
+  const size = map.getSize();
+  const taken = [];
+  for (const [name, lon, lat] of names) {
+    const at = onMap(lat, lon);
+    const { x, y } = map.latLngToContainerPoint(at);
+    const box = [x - 6, y - 9, x + 12 + 7 * name.length, y + 9];
+    if (box[0] < 0 || box[1] < 0 || box[2] > size.x || box[3] > size.y) continue;
+    if (taken.some((other) => box[0] < other[2] && other[0] < box[2] && box[1] < other[3] && other[1] < box[3])) continue;
+    taken.push(box);
+    L.marker(at, { icon: icon("peak", 10), interactive: false, keyboard: false, alt: "", zIndexOffset: -1000 }).addTo(named)
+      .bindTooltip(name, { permanent: true, direction: "right", offset: [4, 0], className: "label" });
+    if (taken.length === MOST_NAMES) break;
+  }
+}
+
+async function fetchNames(ground) {
+  const found = ground?.peaks ? await server.names(ground).catch(() => []) : [];
+  if (ground?.id !== state.ground?.id) return;
+  names = found;
+  showNames();
+  showLegend();
 }
 
 function drawView(pose, isBest) {
@@ -81,7 +132,8 @@ function showNoted(photo) {
   const at = onMap(lat, lon);
   const about = "Place noted in the photo";
   if (photo.accuracy_m) L.circle(at, { radius: photo.accuracy_m, color: "#f2a7ff", weight: 1.5, fillOpacity: 0.08, interactive: false }).addTo(noted);
-  L.marker(at, { icon: icon("noted", 16), title: about, alt: about, keyboard: false, zIndexOffset: 500 }).addTo(noted);
+  L.marker(at, { icon: icon("noted", 16), title: about, alt: about, keyboard: false, zIndexOffset: 500 }).addTo(noted)
+    .bindTooltip("GPS", { permanent: true, direction: "right", offset: [8, 0], className: "label" });
 }
 
 // Shows the answer and its view; without an answer, all candidates.
@@ -156,6 +208,7 @@ function drawCircle(km) {
     one.setLatLng(onMap(state.circle.lat, state.circle.lon));
     km === null ? one.remove() : one.addTo(map);
   }
+  showLegend();
   // Without a ground, the circle is all that there is to see.
   if (km !== null && !state.ground) map.fitBounds(circle.getBounds(), { animate: false });
 }
@@ -208,6 +261,7 @@ function makeMap() {
   frame = L.layerGroup().addTo(map);
   map.on("moveend", () => state.ground || showDegrees());
   map.on("click", ({ latlng }) => state.ground || searchAround(offMap(latlng)));
+  named = L.layerGroup().addTo(map);
   noted = L.layerGroup().addTo(map);
   spots = L.layerGroup().addTo(map);
 }
@@ -271,12 +325,18 @@ export function start() {
   makeCircle();
   showWhere();
   map.on("zoomend viewreset moveend", showCamera);
+  map.on("moveend resize", showNames);
+  map.on("zoomend", showLegend);
   $("near-here").onclick = () => showCircle(middle());
   $("place-here").onclick = () => placeAt(middle());
   new ResizeObserver(() => map.invalidateSize()).observe($("map"));
   showGround(null);
   on("ground", showGround);
-  on("pose", showCamera);
+  on("ground", fetchNames);
+  on("pose", () => {
+    showCamera();
+    showLegend();
+  });
   on("circle", drawCircle);
   for (const name of ["photo", "result", "chosen", "left", "known", "skyline"]) on(name, showCandidates);
   on("photo", showNoted);

@@ -54,6 +54,8 @@ async function renew() {
 export const records = async () => (await (await ask("GET", `session/${session}`)).json()).photos;
 export const about = async () => (await ask("GET", "state")).json();
 
+export const names = async (ground) => (await ask("GET", `names/${ground.id}`)).json();
+
 export async function upload(file) {
   if (file.size > MAX_UPLOAD_BYTES) {
     const size = (file.size / 1e6).toFixed(0);
