@@ -17,7 +17,7 @@ from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket
 
-from skyline import InputError, SkylineError, read_trace
+from skyline import InputError, Matcher, Projection, SkylineError, read_trace
 from skyline.web.engine import Engine
 from skyline.web.ground import shown_name
 from skyline.web.live import LiveChannel
@@ -184,6 +184,9 @@ class PageApp:
     async def _skyline(self, request: Request) -> Response:
         photo = self._photo(request)
         asked = await _json(request)
+        if "projection" in asked:
+            projection = Projection(str(asked["projection"]))
+            await self._engine.work("strokes", photo.project, projection)
         if "strokes" in asked:
             await self._engine.work("strokes", photo.solve, strokes_of(asked["strokes"]))
         return _lines(photo)
@@ -262,6 +265,9 @@ class PageApp:
 
 def _lines(photo: PagePhoto) -> Response:
     headers = {"ETag": f'"{version_of(photo.skyline)}"'}
+    lacks = Matcher.too_little(photo.skyline)
+    if lacks is not None:
+        headers["Skyline-Lacks"] = lacks
     return Response(photo.lines(), media_type="application/octet-stream", headers=headers)
 
 

@@ -21,6 +21,7 @@ from skyline import (
     Narrowing,
     Photo,
     PhotoSkyline,
+    Projection,
     SkylineError,
     Stroke,
     read_photo,
@@ -58,6 +59,7 @@ class PagePhoto:
         self.name = shown_name(name)
         with path.open("rb") as file:
             self.content = hashlib.file_digest(file, "sha256").hexdigest()
+        self.projection: Projection | None = None
         self.skyline = opened(self)[1].solve()
         self._ground = ground
         self.near = self._noted_circle() if ground is None else None
@@ -90,6 +92,7 @@ class PagePhoto:
             "heading_deg": skyline.noted.heading_deg,
             "near": self.near,
             "ground": self._ground and self._ground.about,
+            "projection": str(skyline.projection),
             "strokes": [
                 {"kind": str(one.kind), "radius": one.radius_px, "points": one.points_px}
                 for one in self.strokes
@@ -128,6 +131,18 @@ class PagePhoto:
             self.trace = trace
             self.fitted = None
 
+    def project(self, projection: Projection) -> None:
+        """Take the photo as one of another projection.
+
+        Its field of view is then unknown, unless the file notes it for that projection.
+        """
+        before, self.projection = self.projection, projection
+        try:
+            self.solve(self.strokes)
+        except InputError:
+            self.projection = before
+            raise
+
     def jpeg(self) -> bytes:
         """Return the picture that the page draws, without the file's metadata."""
         picture = Image.fromarray(opened(self)[0].rgb)
@@ -164,17 +179,22 @@ class PagePhoto:
 
 def version_of(skyline: PhotoSkyline) -> str:
     """Return a digest that distinguishes skylines of one photo."""
-    return hashlib.sha256(skyline.row_px.tobytes() + skyline.trust.tobytes()).hexdigest()[:16]
+    seen = skyline.row_px.tobytes() + skyline.trust.tobytes() + skyline.projection.encode()
+    return hashlib.sha256(seen).hexdigest()[:16]
 
 
-@lru_cache(maxsize=_IN_MEMORY)
 def opened(photo: PagePhoto) -> tuple[Photo, Correction]:
     """Return a photo and its correction, from memory or its file.
 
     Raises `InputError` if the photo cannot be used; the message has the user's name of the file.
     """
+    return _opened(photo, photo.projection)
+
+
+@lru_cache(maxsize=_IN_MEMORY)
+def _opened(photo: PagePhoto, projection: Projection | None) -> tuple[Photo, Correction]:
     try:
-        read = read_photo(photo.path)
+        read = read_photo(photo.path, projection=projection)
         return read, Correction(read)
     except SkylineError as error:
         message = str(error.args[0]).replace(str(photo.path), photo.name)

@@ -84,6 +84,7 @@ async function send() {
       if (isSame(strokes, photo.strokes)) unsent.delete(photo);
       performance.measure("stroke", { start: began });
       settle("strokes");
+      emit("mended");
       if (photo !== state.photo) continue;
       showSkyline(skyline);
       showShare();
@@ -262,6 +263,7 @@ export async function traceFrom(file) {
     const skyline = await server.loadTrace(photo, trace);
     Object.assign(photo, { strokes: [], trace, solved: 0 });
     keep(photo);
+    emit("mended");
     if (photo !== state.photo) return;
     forget();
     showSkyline(skyline);

@@ -85,10 +85,12 @@ export function choose(index) {
 function show() {
   const { photo } = state;
   const busy = photo?.state === "matching";
-  $("find").disabled = !photo || busy;
+  // What a person says about the camera may widen what is seen.
+  const lacks = state.lacks && !("fov_deg" in known()) ? state.lacks : null;
+  $("find").disabled = !photo || busy || Boolean(lacks);
   $("progress").hidden = !busy;
   $("find-hint").hidden = Boolean(!photo || photo.ground || busy);
-  $("answer").replaceChildren(...(photo?.result && !busy ? verdict(standing()) : []));
+  $("answer").replaceChildren(...(busy ? [] : lacks ? missing(lacks) : photo?.result ? verdict(standing()) : []));
   list(busy ? [] : standing()?.candidates ?? []);
 }
 
@@ -106,6 +108,10 @@ function verdict(result) {
   if (state.chosen > 0) return ofOther(result.candidates[state.chosen].pose);
   const notes = result.notes.map((one) => element("p", { class: "claim" }, one));
   return [...(result.answered ? found(result) : missed(result)), ...notes];
+}
+
+function missing(lacks) {
+  return [element("span", { class: "no" }, "No skyline of mountains is found: "), `${lacks}. Where the photo shows one, paint it with the tools.`];
 }
 
 function ofOther({ confidence }) {

@@ -1,5 +1,6 @@
 // The form of what the user knows about a photo's place, prefilled from the photo's EXIF.
-import { $, alertUser, on, settle, state, emit, widest } from "./state.js";
+import * as server from "./server.js";
+import { $, alertUser, on, report, settle, state, emit, widest } from "./state.js";
 
 const LEAST_KM = 0.5;
 const MOST_KM = 100;
@@ -48,6 +49,7 @@ function show() {
   const inputs = { fov: ["fov"], heading: ["heading", "slack"], near: ["radius", "near-here"], elevation: ["low", "high"] };
   for (const [name, ids] of Object.entries(inputs)) for (const id of ids) $(id).disabled = !isKnown(name);
   if (document.activeElement !== $("near-place")) $("near-place").value = state.circle && isKnown("near") ? inWords(state.circle) : "";
+  $("projection").disabled = !state.photo;
   $("known-summary").textContent = summary();
   emit("known");
 }
@@ -101,6 +103,7 @@ function fromPhoto(photo) {
   if (!photo) return;
   const asked = photo.result?.asked ?? NOTHING;
   const fov_deg = "fov_deg" in asked ? asked.fov_deg : photo.fov_deg;
+  $("projection").value = photo.projection;
   $("fov").max = widest(photo);
   $("fov-known").checked = fov_deg !== null;
   $("heading-known").checked = asked.heading_deg !== null;
@@ -127,7 +130,22 @@ function fillNumbers(photo, asked, fov_deg) {
   if (asked.eye_height_m !== null) set("eye", asked.eye_height_m);
 }
 
+// The skyline is another one in another projection, and the file's field of view may not hold.
+async function project() {
+  const { photo } = state;
+  settle("projection");
+  try {
+    await server.project(photo, $("projection").value);
+    Object.assign(photo, (await server.records()).find((one) => one.id === photo.id));
+    emit("projected", photo);
+  } catch (error) {
+    report(error, "projection");
+    $("projection").value = photo.projection;
+  }
+}
+
 export function start() {
+  $("projection").onchange = project;
   for (const name of ["fov", "heading", "elevation"]) $(`${name}-known`).onchange = show;
   for (const id of ["fov", "heading", "slack", "low", "high", "eye", "radius"]) {
     $(id).oninput = () => {

@@ -1,7 +1,7 @@
 // The list of photos, added by dropping or choosing files, each with its state.
 import * as server from "./server.js";
 import { $, alertUser, element, emit, on, report, setGround, setPhoto, settle, showStatus, state } from "./state.js";
-import { buttons, forget, resume, showShare, showSkyline, traceFrom } from "./brush.js";
+import { buttons, forget, resume, showShare, showSkyline, traceFrom, waits } from "./brush.js";
 import { leave } from "./hand.js";
 import { keptFor, workOn } from "./kept.js";
 import { show } from "./view.js";
@@ -38,6 +38,29 @@ function row(photo) {
   return element("li", {}, pick, ...(photo.state === "opening" ? [] : [remove]));
 }
 
+// Shows what another tab has added, removed, mended or found.
+async function follow() {
+  const records = await server.records().catch(() => []);
+  const ids = records.map((one) => one.id);
+  const gone = state.photos.filter((one) => one.id && server.isOpen(one) && !ids.includes(one.id));
+  for (const photo of gone) leaveOut(photo);
+  for (const record of records) {
+    const photo = state.photos.find((one) => one.id === record.id);
+    if (!photo) state.photos.push({ ...record, session: server.current(), solved: record.strokes.length });
+    else if (!waits(photo) && isOther(photo, record)) await takeOver(photo, record);
+  }
+  list();
+  if (!state.photo && state.photos.length) await choose(state.photos[0]);
+}
+
+const isOther = (photo, record) => ["strokes", "trace", "result", "projection"].some(
+  (name) => JSON.stringify(photo[name] ?? null) !== JSON.stringify(record[name] ?? null));
+
+async function takeOver(photo, record) {
+  Object.assign(photo, record, { solved: record.strokes.length, unsaved: Boolean(workOn(record)) });
+  if (photo === state.photo) await choose(photo);
+}
+
 export async function choose(photo) {
   if (["waiting", "opening", ...LOST].includes(photo.state)) return;
   if (!photo.id && !(await open(photo, () => server.openGiven(photo.given)).catch(() => false))) return;
@@ -68,7 +91,7 @@ export async function choose(photo) {
 // page, from before a restart of the server, or what the browser has kept. Without an answer of the
 // server the photo stays as it was, and the error is thrown.
 async function open(photo, opened, failed = "unusable") {
-  const { state: before, content, strokes, trace } = photo;
+  const { state: before, content, strokes, trace, projection } = photo;
   photo.state = "opening";
   list();
   try {
@@ -78,6 +101,10 @@ async function open(photo, opened, failed = "unusable") {
       throw new Error(`${photo.name} has changed; add the photo as it was, or remove it`);
     }
     Object.assign(photo, record, { solved: 0, unsaved: photo.unsaved || Boolean(workOn(record)) });
+    if (projection && projection !== photo.projection) {
+      await server.project(photo, projection);
+      photo.projection = projection;
+    }
     const work = content ? { strokes, trace } : workOn(photo);
     if (work) await resume(photo, work);
   } catch (error) {
@@ -97,9 +124,13 @@ export async function restore() {
   if (JSON.stringify(about) !== JSON.stringify(state.server)) {
     alertUser("The server was started again with another store or other photos: reload the page.", "store");
   }
+  const there = await server.records();
   for (const photo of state.photos.filter((one) => one.content && one.state !== "missing" && !server.isOpen(one))) {
     const isFound = Boolean(photo.result);
-    if (!(await open(photo, () => sendAgain(photo), "missing")) || photo !== state.photo) continue;
+    // Another tab may have opened it again already.
+    const again = there.find((one) => one.content === photo.content);
+    const opened = () => (again ? { ...again, session: server.current() } : sendAgain(photo));
+    if (!(await open(photo, opened, "missing")) || photo !== state.photo) continue;
     leave();
     showSkyline(await server.skyline(photo, null));
     if (isFound) showStatus("The server was started again: find the place again");
@@ -130,6 +161,7 @@ async function openWaiting() {
     if (photo.state !== "waiting" || !state.photos.includes(photo)) continue;
     if (!(await open(photo, () => server.upload(photo.file)).catch(() => false))) continue;
     state.photos = state.photos.filter((one) => one.state !== "missing" || one.content !== photo.content);
+    server.tellOthers();
     if (first) await choose(photo);
     first = false;
   }
@@ -138,6 +170,12 @@ async function openWaiting() {
 async function drop(photo) {
   if (photo.id && !LOST.includes(photo.state)) await server.remove(photo).catch((error) => report(error, "photo"));
   settle("photo");
+  leaveOut(photo);
+  server.tellOthers();
+  list();
+}
+
+function leaveOut(photo) {
   state.photos = state.photos.filter((one) => one !== photo);
   if (photo === state.photo) {
     setPhoto(null);
@@ -147,7 +185,6 @@ async function drop(photo) {
     showStatus("");
     emit("photo", null);
   }
-  list();
 }
 
 function dropping() {
@@ -189,6 +226,9 @@ export async function start(opened) {
   }
   dropping();
   on("states", list);
+  on("elsewhere", follow);
+  on("projected", choose);
+  for (const name of ["result", "mended"]) on(name, server.tellOthers);
   on("connected", async () => {
     if (state.photo && !state.rows) await choose(state.photo);
     await openWaiting();

@@ -61,6 +61,8 @@ function show() {
   $("save-names").hidden = !state.ground?.peaks;
   $("save-trace").disabled = !state.trace;
   $("load-trace").disabled = !state.photo;
+  const unsaved = state.photos.filter((photo) => photo.unsaved).map((photo) => photo.name);
+  $("unsaved").textContent = unsaved.length ? `Not saved: the mended skyline of ${unsaved.join(", ")}. “Trace” saves it.` : "";
 }
 
 export function start() {
@@ -69,7 +71,7 @@ export function start() {
     $("save-trace").before(button);
   }
   $("save-trace").onclick = saveTrace;
-  for (const name of ["photo", "pose", "skyline", "ground"]) on(name, show);
+  for (const name of ["photo", "pose", "skyline", "ground", "unsaved"]) on(name, show);
   on("photo", () => settle("save"));
   show();
 }

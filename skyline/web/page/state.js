@@ -4,6 +4,7 @@ const OF_PHOTO = {
   rows: null, // Float32Array of the photo's columns: NaN where left out
   trust: null, // Float32Array, 0 to 1
   others: null, // Float32Array, rows of other crests that may be the skyline
+  lacks: null, // why the skyline is too little to be searched, if it is
   version: null, // distinguishes the skyline from others of the same photo
   trace: null, // text of the skyline's file
   chosen: null, // index of the candidate that was chosen, or that the fit led to
@@ -54,8 +55,10 @@ export function element(tag, attributes = {}, ...children) {
   return made;
 }
 
-// The widest field of view that a photo may have: above 120 degrees it is a panorama.
-export const widest = (photo) => (photo?.fov_deg > 120 ? 360 : 120);
+const MOST_FOV_DEG = { perspective: 120, fisheye: 180, cylindrical: 360, equirectangular: 360 };
+
+// The widest field of view that the page offers for a photo.
+export const widest = (photo) => MOST_FOV_DEG[photo?.projection] ?? 120;
 
 const PHONE = matchMedia("(max-width: 640px), (max-height: 480px)");
 
