@@ -6,6 +6,7 @@ import shutil
 import threading
 import time
 from contextlib import nullcontext
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from skyline import cache as areas
 from skyline.cache import Area, prepare_area
 from skyline.geodesy.bounds import contains_box
 from skyline.location import area_of
+from skyline.tasks.locate import serving_command
 
 PLACE = 9.5, 46.5
 NEAR = "9.5,46.5,1.5"
@@ -42,6 +44,13 @@ def test_a_photo_is_located(located, cache, tmp_path):
     report = (tmp_path / "page" / "index.html").read_text()
     assert f"run: skyline serve {folder} " in report
     assert 'href="http://127.0.0.1:8765/"' in report
+
+
+def test_the_command_that_serves_the_page_names_no_home():
+    area = Path.home() / "a cache" / "9_46_10_47"
+    assert serving_command(area, ["my photo.jpg"]) == (
+        "skyline serve ~/'a cache/9_46_10_47' 'my photo.jpg'"
+    )
 
 
 @pytest.mark.usefixtures("located")
