@@ -182,6 +182,12 @@ def store_of(path: Path) -> Path:
     return store if store.is_file() else path
 
 
+def title_of(store: Path) -> str:
+    """Return what a person calls a store: the name of its file, or the bounds of its area."""
+    bounds = _bounds_of(store.parent.name) if store.name == _STORE else None
+    return store.name if bounds is None else "area " + ",".join(f"{one:.2f}" for one in bounds)
+
+
 def cached_areas() -> list[CachedArea]:
     """Return the areas in the cache, by origin and bounds."""
     with _explained():

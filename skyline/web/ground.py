@@ -18,6 +18,7 @@ from skyline import (
     read_peaks,
     stand_at,
 )
+from skyline.cache import title_of
 
 MAX_ZOOM = 18
 """Greatest zoom of the page's map."""
@@ -76,7 +77,7 @@ class Ground:
         eyes = self.matcher.viewpoints
         return {
             "id": self.id,
-            "store": ", ".join(shown_name(path.name) for path in self.stores),
+            "store": ", ".join(shown_name(title_of(path)) for path in self.stores),
             "places": self.matcher.rows,
             "area": list(
                 self.matcher.frame.box_deg(easting_m=eyes.easting_m, northing_m=eyes.northing_m)

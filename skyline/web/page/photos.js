@@ -45,7 +45,7 @@ async function follow() {
   const gone = state.photos.filter((one) => one.id && server.isOpen(one) && !ids.includes(one.id));
   for (const photo of gone) leaveOut(photo);
   for (const record of records) {
-    const photo = state.photos.find((one) => one.id === record.id);
+    const photo = state.photos.find((one) => one.id === record.id || isGivenAs(one, record));
     if (!photo) state.photos.push({ ...record, session: server.current(), solved: record.strokes.length });
     else if (!waits(photo) && isOther(photo, record)) await takeOver(photo, record);
   }
@@ -53,11 +53,15 @@ async function follow() {
   if (!state.photo && state.photos.length) await choose(state.photos[0]);
 }
 
+// Whether a photo of the command, not opened here yet, is this one.
+const isGivenAs = (photo, record) => !photo.id && photo.given !== undefined && photo.name === record.name;
+
 const isOther = (photo, record) => ["strokes", "trace", "result", "projection"].some(
   (name) => JSON.stringify(photo[name] ?? null) !== JSON.stringify(record[name] ?? null));
 
 async function takeOver(photo, record) {
-  Object.assign(photo, record, { solved: record.strokes.length, unsaved: Boolean(workOn(record)) });
+  const work = { session: server.current(), solved: record.strokes.length, unsaved: Boolean(workOn(record)) };
+  Object.assign(photo, record, work);
   if (photo === state.photo) await choose(photo);
 }
 
