@@ -40,14 +40,15 @@ function row(photo) {
 
 // Shows what another tab has added, removed, mended or found.
 async function follow() {
-  const records = await server.records().catch(() => []);
+  const before = state.photos.filter((one) => one.id && server.isOpen(one));
+  const records = await server.records().catch(() => null);
+  if (!records) return;
   const ids = records.map((one) => one.id);
-  const gone = state.photos.filter((one) => one.id && server.isOpen(one) && !ids.includes(one.id));
-  for (const photo of gone) leaveOut(photo);
+  for (const photo of before) if (!ids.includes(photo.id)) leaveOut(photo);
   for (const record of records) {
     const photo = state.photos.find((one) => one.id === record.id || isGivenAs(one, record));
-    if (!photo) state.photos.push({ ...record, session: server.current(), solved: record.strokes.length });
-    else if (!waits(photo) && isOther(photo, record)) await takeOver(photo, record);
+    if (!photo) state.photos.push(takenOver({}, record));
+    else if (!waits(photo) && isOther(photo, record) && takenOver(photo, record) === state.photo) await choose(photo);
   }
   list();
   if (!state.photo && state.photos.length) await choose(state.photos[0]);
@@ -59,10 +60,9 @@ const isGivenAs = (photo, record) => !photo.id && photo.given !== undefined && p
 const isOther = (photo, record) => ["strokes", "trace", "result", "projection"].some(
   (name) => JSON.stringify(photo[name] ?? null) !== JSON.stringify(record[name] ?? null));
 
-async function takeOver(photo, record) {
+function takenOver(photo, record) {
   const work = { session: server.current(), solved: record.strokes.length, unsaved: Boolean(workOn(record)) };
-  Object.assign(photo, record, work);
-  if (photo === state.photo) await choose(photo);
+  return Object.assign(photo, record, work);
 }
 
 export async function choose(photo) {
@@ -214,7 +214,7 @@ function dropping() {
 // Takes up a photo that the server has; the index is not negative if the command names the photo.
 async function takeUp(photo, given) {
   const work = workOn(photo);
-  Object.assign(photo, { solved: photo.strokes.length, unsaved: Boolean(work) });
+  Object.assign(photo, { session: server.current(), solved: photo.strokes.length, unsaved: Boolean(work) });
   if (given >= 0) photo.given = given;
   // Strokes that were drawn while the server did not answer.
   if (work && work.strokes.length !== photo.strokes.length) await resume(photo, work).catch((error) => report(error, "strokes"));
