@@ -232,7 +232,7 @@ export async function start(opened) {
   on("states", list);
   on("elsewhere", follow);
   on("projected", choose);
-  for (const name of ["result", "mended"]) on(name, server.tellOthers);
+  for (const name of ["result", "mended", "projected"]) on(name, server.tellOthers);
   on("connected", async () => {
     if (state.photo && !state.rows) await choose(state.photo);
     await openWaiting();
