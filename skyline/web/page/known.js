@@ -65,7 +65,12 @@ function placeIn(text) {
 }
 
 function typed() {
-  const place = placeIn($("near-place").value);
+  const text = $("near-place").value;
+  if (!text.trim()) {
+    $("near-known").checked = false;
+    return showCircle();
+  }
+  const place = placeIn(text);
   if (!place) return alertUser("A place is a latitude and a longitude in degrees, such as 46.80, 9.84.", "place");
   settle("place");
   searchAround(place);
@@ -155,6 +160,7 @@ export function start() {
   }
   $("near-known").onchange = () => showCircle();
   $("near-place").onchange = typed;
+  $("near-place").onfocus = () => $("near-place").select();
   $("known-form").onsubmit = (event) => event.preventDefault();
   on("photo", fromPhoto);
   on("circled", show);
