@@ -180,6 +180,18 @@ def prepare_area(
             return made
 
 
+def store_of(path: Path) -> Path:
+    """Return the store of an area's folder; other paths stay as they are."""
+    store = path / _STORE
+    return store if store.is_file() else path
+
+
+def title_of(store: Path) -> str:
+    """Return what a person calls a store: the name of its file, or the bounds of its area."""
+    bounds = _bounds_of(store.parent.name) if store.name == _STORE else None
+    return store.name if bounds is None else "area " + ",".join(f"{one:.2f}" for one in bounds)
+
+
 def cached_areas() -> list[CachedArea]:
     """Return the areas in the cache, by origin and bounds."""
     with _explained():

@@ -11,10 +11,11 @@ import pytest
 from font_scenes import font_of
 from hypothesis import settings
 from matplotlib.font_manager import fontManager
-from scenes import fractal, take_photo, write_dem
+from range_server import Behaviour, serve
+from scenes import degree_tile, fractal, take_photo, write_dem
 
 import skyline_bench.cli
-from skyline import build_places, build_uniform, cli, read_dem, stand_on
+from skyline import build_places, build_uniform, cli, read_dem, stand_at, stand_on
 from skyline.cli.terminal import Terminal
 from skyline.match import search
 from skyline.render.context import ENVIRONMENT_VARIABLE, held_context
@@ -135,6 +136,26 @@ def run(run_main):
 def run_bench(run_main):
     """Return a function that runs ``skyline-bench ARGS...``."""
     return partial(run_main, skyline_bench.cli.main, "skyline-bench")
+
+
+@pytest.fixture(scope="session")
+def one_degree(tmp_path_factory):
+    """A folder with the tile of the degree 9 E, 46 N, and a photo from its middle."""
+    folder = tmp_path_factory.mktemp("degree")
+    heights = 1500.0 + fractal(240, 240, 1200.0, seed=5)
+    (folder / "dem.tif").write_bytes(degree_tile(heights, 9, 46))
+    terrain = read_dem(folder / "dem.tif")
+    take_photo(folder / "photo.jpg", terrain, stand_at(terrain, lon=9.5, lat=46.5))
+    return folder
+
+
+@pytest.fixture
+def tile_server(one_degree, monkeypatch):
+    """The behaviour of a server that has the one tile and is the source by default."""
+    behaviour = Behaviour(files={"/N46E009.tif": (one_degree / "dem.tif").read_bytes()})
+    with serve(behaviour) as address:
+        monkeypatch.setenv("SKYLINE_DEM_SOURCE", address + "/{ns}{lat:02d}{ew}{lon:03d}.tif")
+        yield behaviour
 
 
 @pytest.fixture(scope="session")

@@ -20,7 +20,11 @@ def cache(
     clear: Annotated[bool, Option("--clear", help="Remove all of it.")] = False,
     as_json: AsJson = False,
 ) -> None:
-    """List what is kept: areas, and elevation models that were read."""
+    """List what is kept: areas, and elevation models that were read.
+
+    The folder of an area stands wherever a store is expected, as in `skyline serve
+    FOLDER`.
+    """
     terminal = Terminal.of(context, as_json)
     areas = _areas()
     total = _bytes_of(areas) + kept_bytes()
@@ -37,9 +41,8 @@ def cache(
         unfinished = "" if one["finished"] else ", unfinished"
         store = f"store {one['store_bytes'] / 1e6:.1f} MB{unfinished}"
         tiles = f"tiles: {one['tiles']}, {one['tile_bytes'] / 1e6:.1f} MB; " if one["tiles"] else ""
-        box = ",".join(f"{side:g}" for side in one["bounds_deg"])
         changed = datetime.fromisoformat(one["changed"])
-        terminal.line(f"{one['origin']} {box}: {tiles}{store}, {changed:%Y-%m-%d %H:%M}")
+        terminal.line(f"{one['folder']}: {tiles}{store}, {changed:%Y-%m-%d %H:%M}")
     if models := kept_bytes():
         terminal.line(f"elevation models as they were read: {models / 1e6:.1f} MB")
     terminal.line(f"{cache_folder()}: areas: {len(areas)}, {total / 1e6:.1f} MB")

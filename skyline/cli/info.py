@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 from typer import Argument, Option
 
+from skyline.cache import store_of
 from skyline.cli.facts import table_of
 from skyline.cli.options import AsJson, Crs, read_terrain
 from skyline.cli.terminal import Terminal
@@ -36,12 +37,13 @@ def info(
     if gl:
         with held_context() as opengl:
             facts |= opengl.facts()
-    if path and len(path) == 1 and (is_store(path[0]) or _is_missing_store(path[0])):
-        facts |= describe_store(path[0])
+    one = store_of(Path(path[0])) if path and len(path) == 1 else None
+    if one is not None and (is_store(one) or _is_missing_store(one)):
+        facts |= describe_store(str(one))
     elif path:
         facts |= describe_terrain(read_terrain(terminal, path, crs))
     terminal.result(facts, table_of(facts, MEANINGS.get(str(facts.get("kind")))))
 
 
-def _is_missing_store(path: str) -> bool:
-    return Path(path).suffix == ".h5" and not Path(path).exists()
+def _is_missing_store(path: Path) -> bool:
+    return path.suffix == ".h5" and not path.exists()

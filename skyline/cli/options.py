@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Option
 
+from skyline.cache import store_of
 from skyline.cli.terminal import Terminal
 from skyline.errors import InputError, numbers_in, swapped_in_words
 from skyline.geodesy.bounds import are_degrees
@@ -42,7 +43,14 @@ of_terrain = panel("Terrain and rendering")
 
 DEM_ABOUT = "An elevation file, or a folder or zip of files; may be repeated."
 
-StoreFile = Annotated[Path, Argument(metavar="STORE.h5", help="A store, as `build` writes it.")]
+StoreFile = Annotated[
+    Path,
+    Argument(
+        metavar="STORE.h5",
+        help="A store, as `build` writes it, or the folder of an area that `cache` lists.",
+        callback=store_of,
+    ),
+]
 AsJson = Annotated[bool, Option("--json", help="Print JSON.")]
 StoreDem = Annotated[
     list[str] | None,

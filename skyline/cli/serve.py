@@ -1,31 +1,41 @@
 """``skyline serve``: the page in the browser."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
 from typer import Argument, Option
 
-from skyline.cli.options import PEAKS, StoreDem, StoreFile
+from skyline.cli.options import PEAKS
 from skyline.errors import InputError, MissingFileError
-from skyline.tasks.match import split_stores
+from skyline.store.read import is_store
+from skyline.tasks.match import PAGE_PORT, split_stores
 
 
 def serve(
-    store: StoreFile,
-    photo: Annotated[
+    named: Annotated[
         list[Path] | None,
         Argument(
-            metavar="PHOTO",
-            help="Photos that are open on the page at first. More stores of the same DEM may be "
-            "named before them; all stores are searched as one.",
+            metavar="STORE.h5|PHOTO",
+            help="Stores of one DEM, searched as one, and photos that are open on the page at "
+            "first. A store is as `build` writes it, or the folder of an area that `cache` lists. "
+            "Without a store, the area of each photo is fetched and built, as `locate` does.",
         ),
     ] = None,
-    dem: StoreDem = None,
+    dem: Annotated[
+        list[str] | None,
+        Option(
+            metavar="DEM",
+            help="The store's DEM, if it has moved, or without a store the elevation of the "
+            "photos' areas: a file, or a folder or zip of files; may be repeated.",
+            show_default="the files from which the store was built, or fetched tiles",
+        ),
+    ] = None,
     peaks: Annotated[Path | None, PEAKS] = None,
     port: Annotated[
         int,
         Option(min=0, max=65535, metavar="PORT", help="Port of the page; 0 takes any free port."),
-    ] = 8765,
+    ] = PAGE_PORT,
     host: Annotated[
         str,
         Option(
@@ -40,7 +50,7 @@ def serve(
     On the page, drop photos, mend their skylines, find places, and fit poses by
     hand.
     """
-    stores, photos = split_stores(store, photo or [])
+    stores, photos = _split(named or [])
     for one in photos:
         if not one.is_file():
             raise MissingFileError(f"{one} does not exist; expected a photo or a store")
@@ -54,3 +64,12 @@ def serve(
         ) from error
     first = [path.absolute() for path in photos]
     serve_page(lambda: Engine(stores, dem, first, peaks), host, port)
+
+
+def _split(named: Sequence[Path]) -> tuple[Sequence[Path], Sequence[Path]]:
+    """Return the stores, maybe none, and the photos of the command's arguments."""
+    if not named:
+        return (), ()
+    stores, photos = split_stores(named[0], named[1:])
+    is_photo = stores[0].is_file() and not is_store(stores[0])
+    return ((), named) if is_photo else (stores, photos)

@@ -123,6 +123,14 @@ class Matcher(Closeable):
                 self._scene = RenderedScene(self.terrain, rendering, render_thread, over)
             self._method = method.open(file, self.terrain, self._scene)
 
+    @staticmethod
+    def too_little(skyline: PhotoSkyline) -> str | None:
+        """Return why a search would refuse a skyline at once; None if it would not.
+
+        Such a skyline spans too few degrees.
+        """
+        return too_little(skyline)
+
     @cached_property
     def viewpoints(self) -> Viewpoints:
         """The eyes of the store, or an even selection of very many."""

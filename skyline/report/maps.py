@@ -23,7 +23,7 @@ from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from skyline.arrays import Float32Array, Float64Array, FloatArray, UInt8Array
+from skyline.arrays import BoolArray, Float32Array, Float64Array, FloatArray, UInt8Array
 from skyline.errors import InputError
 from skyline.geodesy.bounds import degrees_in_words, in_turn
 from skyline.geodesy.map_frame import Frame
@@ -43,6 +43,8 @@ _TINTS = ("#7fa87a", "#a9bd8b", "#d3c79b", "#c4a983", "#b59f8d", "#d9d5d1", "#ff
 TILE_PX = 256
 """Pixels along a tile's side."""
 MAX_ZOOM = 20
+_CONTOURS_M = (10.0, 20.0, 50.0, 100.0, 200.0, 500.0)
+"""Intervals of contour lines, as on printed maps."""
 _RGB = 255.0 * LinearSegmentedColormap.from_list("heights", _TINTS)(np.arange(256))[:, :3]
 """Colours (256, 3) from the lowest height to the highest."""
 _LIGHT = np.array([-0.5, 0.5, np.sqrt(0.5)], dtype=np.float32)
@@ -290,6 +292,18 @@ def relief(heights: Float32Array, pixel_m: float, range_m: tuple[float, float]) 
     return picture
 
 
+def contours(heights: Float32Array, interval_m: float) -> BoolArray:
+    """Return the pixels (H, W) that contour lines cross.
+
+    The heights (H + 2, W + 2) are those of `relief`.
+    """
+    band = np.floor(heights / interval_m)
+    inner = band[1:-1, 1:-1]
+    # Where a neighbour is unknown, the difference is too, and no line is crossed.
+    right, below = band[1:-1, 2:] - inner, band[2:, 1:-1] - inner
+    return np.asarray((np.nan_to_num(right) != 0.0) | (np.nan_to_num(below) != 0.0))
+
+
 def tint_range_m(heights: FloatArray) -> tuple[float, float]:
     """Return the heights of the lowest and the highest tint of terrain.
 
@@ -309,6 +323,16 @@ class ReliefTiles:
         self.bounds_deg = terrain.box_deg
         """West, south, east and north of the model, degrees; west > east across the
         antimeridian."""
+
+    def contours_m(self, zoom: int) -> float | None:
+        """Return the interval of the contour lines at a zoom; None where there are none.
+
+        It is so great that lines on a slope of 45 degrees lie five pixels apart.
+        """
+        _, south, _, north = self.bounds_deg
+        around_m = 2.0 * np.pi * 6_378_137.0 * np.cos(np.radians((south + north) / 2.0))
+        least_m = 5.0 * around_m / (TILE_PX * 2.0**zoom)
+        return next((one for one in _CONTOURS_M if one >= least_m), None)
 
     def png(self, zoom: int, x: int, y: int) -> bytes:
         """Return a tile as PNG, transparent where there is no terrain.
@@ -334,6 +358,12 @@ class ReliefTiles:
         )
         heights = self._terrain.height_at(easting_m=east, northing_m=north).astype(np.float32)
         picture = relief(heights, pixel_m, self._range_m)[..., [2, 1, 0, 3]]
+        interval_m = self.contours_m(zoom)
+        if interval_m is not None:
+            # Every fifth line is darker.
+            for every_m, shade in ((interval_m, 0.75), (5.0 * interval_m, 0.55)):
+                line = contours(heights, every_m)
+                picture[line, :3] = shade * picture[line, :3]
         return bytes(cv2.imencode(".png", picture, [cv2.IMWRITE_PNG_COMPRESSION, 3])[1])
 
 

@@ -34,6 +34,7 @@ def report_matches(
     peaks: Peaks | None = None,
     photos: Iterable[UInt8Array | None] | None = None,
     done: str = "",
+    served: tuple[str, str] | None = None,
 ) -> Path:
     """Write ``index.html``, its pictures and ``matches.geojson`` into a folder; return the page.
 
@@ -57,6 +58,8 @@ def report_matches(
         read from the files that the results are named after.
     done : str
         Sentences about how the results were found.
+    served : (str, str), optional
+        Command that serves these photos on a page, and the address of that page.
 
     Raises
     ------
@@ -84,6 +87,9 @@ def report_matches(
             _section(pictures, number, one, photo, matcher, viewer, done)
             for number, (one, photo) in enumerate(zip(results, photos, strict=True), start=1)
         ]
+    if served is not None:
+        how = f"To mend a skyline or to place a camera by hand, run: {served[0]}"
+        sections.insert(0, text(how, links=[(served[1], "Then open the page.")]))
     lead = _answered(results) + _about(viewer)
     today = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d %H:%M UTC")
     made_by = f"skyline {PACKAGE_VERSION} {today}"

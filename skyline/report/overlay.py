@@ -18,7 +18,8 @@ from skyline.pose import Pose
 from skyline.report.labels import UnnamedPeaks, encode_figure, labels_of, place_labels
 from skyline.view import SeenBody, SeenPeak, Sight
 
-_RENDERED_COLOUR = "#00e0ff"
+_FOUND_COLOUR = "#ffd23f"
+_RENDERED_COLOUR = "#35d0ff"
 _DRAWN_COLOUR = "#ffd21f"
 """Of the sun, the moon and lines of the map."""
 _DPI = 100.0
@@ -47,7 +48,7 @@ def draw_overlay(
         _draw_rendered(axis, pose, sight)
     axis.plot(
         skyline.row_px,
-        color="#ff2d6f",
+        color=_FOUND_COLOUR,
         linewidth=1.6,
         path_effects=_HALO,
         label="skyline found in the photo",

@@ -3,6 +3,8 @@
 The store of the area is made or found in the cache, and searched.
 """
 
+import os
+import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -74,14 +76,31 @@ def locate_photos(task: LocateTask, listener: Listener) -> int:
     )
     ready = prepare_area(area, task.dem, task.source, listener.note, listener.progress)
     listener.keeps(f"the area is kept in {ready.folder}")
+    serve = serving_command(ready.folder, [one.path for one in usable])
     found_in = replace(
         search,
         stores=(ready.store,),
         entries=[_within(one, task.common.narrowing, narrowing) for one in task.entries],
         common=replace(task.common, narrowing=narrowing),
         dem=[str(ready.terrain)],
+        serve=serve,
     )
-    return match_photos(found_in, listener)
+    code = match_photos(found_in, listener)
+    listener.note(f"to mend a skyline or to place a camera by hand: {serve}")
+    return code
+
+
+def serving_command(area: Path, photos: Sequence[str]) -> str:
+    """Return the command that serves the page with photos of an area.
+
+    Of very many photos it names the first ones.
+    """
+    home = f"{Path.home()}{os.sep}"
+    # A report may be shown to others, whom the name of a home is not to be told.
+    words = [shlex.quote(str(area).removeprefix(home)), *map(shlex.quote, photos[:9])]
+    if str(area).startswith(home):
+        words[0] = f"~/{words[0]}"
+    return " ".join(["skyline serve", *words])
 
 
 def _within(entry: Entry, given: Narrowing, area: Narrowing) -> Entry:

@@ -15,6 +15,7 @@ from typing import TypeVar
 
 from skyline.arrays import Progress
 from skyline.batch import Entry, match_here, match_many
+from skyline.cache import store_of
 from skyline.errors import (
     InputError,
     SkylineError,
@@ -40,6 +41,8 @@ from skyline.survey.cluster import runner_of
 from skyline.tasks.listener import Listener
 from skyline.terrain.dem_files import dem_names
 
+PAGE_PORT = 8765
+"""Port at which `skyline serve` serves its page by default."""
 UNREFINED = "unrefined"
 """The full matcher without its last step."""
 
@@ -79,6 +82,8 @@ class MatchTask:
     """Gazetteer of the page."""
     exports: Sequence[Path] = ()
     """Files of the candidates, of the kinds of `EXPORTS`."""
+    serve: str = ""
+    """Command that serves the page with the photos; the report names it."""
     results: Path | None = None
     """File with a row for each photo, of the kinds of `RESULTS`."""
 
@@ -160,8 +165,10 @@ def split_stores(first: Path, others: Sequence[Path]) -> tuple[tuple[Path, ...],
     """Return the stores and the photos of a command's arguments.
 
     The stores are the first one and those named after it; the photos are named after the stores.
+    The folder of a cached area is a store, too.
     Raises `InputError` where a store is named after a photo.
     """
+    first, *others = map(store_of, (first, *others))
     stores = (first, *takewhile(is_store, others))
     photos = others[len(stores) - 1 :]
     photo = next(iter(photos), None)
@@ -419,7 +426,11 @@ class _Run:
             return
         from skyline.report.match_page import report_matches  # noqa: PLC0415  (slow to load)
 
-        page = report_matches(self._task.report, matcher, found, gazetteer, done=done)
+        address = f"http://127.0.0.1:{PAGE_PORT}/"
+        served = (self._task.serve, address) if self._task.serve else None
+        page = report_matches(
+            self._task.report, matcher, found, gazetteer, done=done, served=served
+        )
         with suppress(BrokenPipeError):
             self._listener.remark(f"report: {page}")
 

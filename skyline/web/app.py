@@ -17,8 +17,9 @@ from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket
 
-from skyline import InputError, SkylineError, read_trace
-from skyline.web.engine import Engine, shown_name
+from skyline import InputError, Matcher, Projection, SkylineError, read_trace
+from skyline.web.engine import Engine
+from skyline.web.ground import shown_name
 from skyline.web.live import LiveChannel
 from skyline.web.messages import (
     known_of,
@@ -67,7 +68,8 @@ class PageApp:
         routes = [
             Route("/", _page),
             Route("/state", self._state),
-            Route("/relief/{zoom:int}/{x:int}/{y:int}.png", self._relief),
+            Route("/relief/{ground}/{zoom:int}/{x:int}/{y:int}.png", self._relief),
+            Route("/names/{ground}", self._names),
             Route("/session", self._begin, methods=["POST"]),
             Route("/session/{session}", self._all),
             WebSocketRoute("/session/{session}/live", self._live),
@@ -106,13 +108,18 @@ class PageApp:
 
     async def _relief(self, request: Request) -> Response:
         at = (request.path_params[name] for name in ("zoom", "x", "y"))
-        if self._engine.relief is None:
+        ground = self._engine.grounds.get(request.path_params["ground"])
+        if ground is None or ground.relief is None:
             return Response(status_code=404)
         try:
-            tile = await self._engine.work("live", self._engine.relief.png, *at)
+            tile = await self._engine.work("live", ground.relief.png, *at)
         except InputError:
             return Response(status_code=404)
         return Response(tile, media_type="image/png", headers={"Cache-Control": "max-age=3600"})
+
+    async def _names(self, request: Request) -> Response:
+        ground = self._engine.grounds.get(request.path_params["ground"])
+        return JSONResponse([] if ground is None else ground.names)
 
     async def _begin(self, _: Request) -> Response:
         session = self._sessions.begin()
@@ -155,7 +162,9 @@ class PageApp:
         try:
             await self._engine.work("photos", write, path)
             async with session.adding:
-                photo = await self._engine.work("photos", PagePhoto, path, name)
+                photo = await self._engine.work(
+                    "photos", PagePhoto, path, name, self._engine.ground
+                )
                 session.photos[photo.id] = photo
         except BaseException:
             path.unlink(missing_ok=True)
@@ -175,6 +184,9 @@ class PageApp:
     async def _skyline(self, request: Request) -> Response:
         photo = self._photo(request)
         asked = await _json(request)
+        if "projection" in asked:
+            projection = Projection(str(asked["projection"]))
+            await self._engine.work("strokes", photo.project, projection)
         if "strokes" in asked:
             await self._engine.work("strokes", photo.solve, strokes_of(asked["strokes"]))
         return _lines(photo)
@@ -219,19 +231,19 @@ class PageApp:
         return JSONResponse(await self._engine.work("matches", self._fitted, photo, asked))
 
     def _fitted(self, photo: PagePhoto, asked: Mapping[str, Any]) -> dict[str, Any]:
-        skyline = photo.skyline
-        start = pose_of(asked.get("pose"), skyline, self._engine.viewer)
+        skyline, ground = photo.skyline, photo.ground
+        start = pose_of(asked.get("pose"), skyline, ground.viewer)
         known = known_of(asked)
         searched = photo.result_of(known)
         if searched is None:
-            found = self._engine.matcher.fit(skyline_of(known, skyline), start, narrowing_of(known))
+            found = ground.matcher.fit(skyline_of(known, skyline), start, narrowing_of(known))
         else:
-            found = self._engine.matcher.fit(searched, start)
+            found = ground.matcher.fit(searched, start)
         if not found.candidates:
             raise InputError(f"{found.refusal}; bring the two skylines closer by hand")
         with photo.lock:
             photo.fitted = found if photo.skyline is skyline else None
-        return outcome_json(found, self._engine)
+        return outcome_json(found, ground)
 
     async def _save(self, request: Request) -> Response:
         session = self._session(request)
@@ -240,10 +252,8 @@ class PageApp:
         kind = request.path_params["kind"]
         if kind not in KINDS:
             return Response(status_code=404)
-        result = chosen_of(asked, photo, self._engine)
-        content = await self._engine.work(
-            "files", saved, kind, self._engine, photo, result, session.folder
-        )
+        result = chosen_of(asked, photo)
+        content = await self._engine.work("files", saved, kind, photo, result, session.folder)
         return Response(content, media_type="application/octet-stream")
 
     def _session(self, request: Request) -> Session:
@@ -255,6 +265,9 @@ class PageApp:
 
 def _lines(photo: PagePhoto) -> Response:
     headers = {"ETag": f'"{version_of(photo.skyline)}"'}
+    lacks = Matcher.too_little(photo.skyline)
+    if lacks is not None:
+        headers["Skyline-Lacks"] = lacks
     return Response(photo.lines(), media_type="application/octet-stream", headers=headers)
 
 

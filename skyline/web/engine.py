@@ -1,43 +1,41 @@
-"""The engine that all sessions share: stores, renderer and threads."""
+"""The engine that all sessions share: grounds, renderer and threads."""
 
 import asyncio
-from collections.abc import Callable, Sequence
+import threading
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
-import numpy as np
-
-from skyline import (
-    InputError,
-    Matcher,
-    Pose,
-    ReliefTiles,
-    RenderThread,
-    SkylineError,
-    Viewer,
-    read_peaks,
-    stand_at,
-)
+from skyline import Narrowing, RenderThread, SkylineError
+from skyline.cache import prepare_area
+from skyline.location import area_of
+from skyline.web.ground import Ground, shown_name
 
 T = TypeVar("T")
 
+ReportProgress = Callable[[str, float], None]
+"""Called with the name of a step, and its finished share."""
+
 _WORKERS = {"photos": 2, "strokes": 2, "matches": 3, "live": 4, "files": 1}
 """Number of threads of each kind of work; no kind waits for another."""
-_NAME_LENGTH = 100
 
 
 class Engine:
-    """Stores opened for many sessions at a time.
+    """Grounds for many sessions at a time: the given one, or those of the photos' areas.
 
     Raises `SkylineError` if the stores, their DEM or the gazetteer cannot be used.
 
     Parameters
     ----------
     stores : sequence of Path
-        Stores of one DEM, searched as one.
+        Stores of one DEM, searched as one. If there are none, the ground of each photo is its area
+        in the cache, made when its place is searched for the first time.
     dem : list of str, optional
-        Files of that DEM, if they have moved since the stores were built.
+        Files of the stores' DEM, if they have moved; without stores, the elevation of areas, else
+        fetched.
     photos : sequence of Path
         Photos at the start of every session's list.
     peaks : Path, optional
@@ -51,34 +49,23 @@ class Engine:
         photos: Sequence[Path],
         peaks: Path | None,
     ) -> None:
-        self.stores = stores
         self.photos = photos
         self.thread = RenderThread()
-        try:
-            self.matcher = Matcher(stores, dem, render_thread=self.thread)
-            self.peaks = None if peaks is None else read_peaks(peaks, self.matcher.frame)
-            self.relief = None
-            self._viewer = None
-            if self.matcher.terrain is not None:
-                curvature = self.matcher.header.curvature
-                self.relief = ReliefTiles(self.matcher.terrain)
-                self._viewer = Viewer(
-                    self.matcher.terrain, self.peaks, curvature=curvature, render_thread=self.thread
-                )
-        except SkylineError:
-            self.thread.close()
-            raise
+        self._dem = dem
+        self._peaks = peaks
+        self.ground = None
+        self.grounds: dict[str, Ground] = {}
+        self._making = threading.Lock()
+        if stores:
+            try:
+                self.ground = self._opened(stores, dem)
+            except SkylineError:
+                self.thread.close()
+                raise
         self._pools = {
             name: ThreadPoolExecutor(count, thread_name_prefix=name)
             for name, count in _WORKERS.items()
         }
-
-    @property
-    def viewer(self) -> Viewer:
-        """The terrain as cameras see it; raises `InputError` without the stores' DEM."""
-        if self._viewer is None:
-            raise InputError("the store's DEM is not at hand; start skyline serve with --dem DEM")
-        return self._viewer
 
     async def work(self, kind: str, task: Callable[..., T], *arguments: Any) -> T:
         """Run a task on a thread of its kind of work."""
@@ -86,54 +73,43 @@ class Engine:
         return await loop.run_in_executor(self._pools[kind], task, *arguments)
 
     def about(self) -> dict[str, Any]:
-        """Return the facts about the stores that the page shows."""
-        eyes = self.matcher.viewpoints
+        """Return the facts about the stores and photos that the command names."""
         return {
-            "store": ", ".join(shown_name(path.name) for path in self.stores),
-            "places": self.matcher.rows,
-            "area": list(
-                self.matcher.frame.box_deg(easting_m=eyes.easting_m, northing_m=eyes.northing_m)
-            ),
-            "terrain": self.relief and list(self.relief.bounds_deg),
-            "peaks": self._viewer is not None and self.peaks is not None,
+            "ground": self.ground and self.ground.about,
             "given": [shown_name(path.name) for path in self.photos],
         }
 
-    def height_m(self, lon: float, lat: float) -> float | None:
-        """Return the terrain's height at a position; None where unknown."""
-        terrain = self.matcher.terrain
-        if terrain is None:
-            return None
-        height = float(terrain.height_at(lon=lon, lat=lat))
-        return height if np.isfinite(height) else None
+    def ground_for(self, photo: Path, narrowing: Narrowing, report: ReportProgress) -> Ground:
+        """Return the ground in which a photo is searched; make its area if it is missing.
 
-    def eye_height_m(self, pose: Pose) -> float | None:
-        """Return the height of a pose's eye above the ground.
-
-        It is the height that `Viewer.pose` takes. An eye below the surface counts as on it. Without
-        terrain the height is None.
+        It is the area of the narrowing, or else of the photo's own position. Raises as
+        `skyline.locate`, and what ``report`` raises.
         """
-        surface_m = self.height_m(pose.lon, pose.lat)
-        if surface_m is None or self.matcher.terrain is None:
-            return None
-        ground = stand_at(self.matcher.terrain, lon=pose.lon, lat=pose.lat, eye_height_m=0.0)
-        return max(surface_m, pose.eye_elevation_m) - float(ground.eye_elevation_m[0])
+        if self.ground is not None:
+            return self.ground
+        area, _ = area_of([photo], narrowing)
+
+        @contextmanager
+        def bar(step: str) -> Iterator[Callable[[int, int], None]]:
+            report(step, 0.0)
+            yield lambda done, total: report(step, done / max(1, total))
+
+        with self._making:
+            make = partial(prepare_area, area, self._dem or (), bar=bar)
+            ready = self.thread.run(make)
+            return self._opened([ready.store], [str(ready.terrain)])
+
+    def _opened(self, stores: Sequence[Path], dem: list[str] | None) -> Ground:
+        """Return the ground of stores, opened only once."""
+        named = {str(one.stores): one for one in self.grounds.values()}
+        ground = named.get(str(stores)) or Ground(stores, dem, self._peaks, self.thread)
+        self.grounds[ground.id] = ground
+        return ground
 
     def close(self) -> None:
-        """End all work, close the store and release the renderer."""
+        """End all work, close the stores and release the renderer."""
         for pool in self._pools.values():
             pool.shutdown(cancel_futures=True)
-        if self._viewer is not None:
-            self._viewer.close()
-        self.matcher.close()
+        for ground in self.grounds.values():
+            ground.close()
         self.thread.close()
-
-
-def shown_name(name: str) -> str:
-    """Return a file's name as the page shows it.
-
-    It has no folders and no control characters.
-    """
-    last = name.replace("\\", "/").rsplit("/", 1)[-1]
-    plain = "".join(letter for letter in last if letter.isprintable()).strip()
-    return plain[-_NAME_LENGTH:] or "photo"

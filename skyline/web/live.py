@@ -95,7 +95,9 @@ class LiveChannel:
         same = {"type": asked["type"], "seq": asked.get("seq")}
         try:
             if asked["type"] == "height":
-                height_m = self._engine.height_m(number(asked, "lon"), number(asked, "lat"))
+                ground = self._engine.grounds.get(str(asked.get("ground")))
+                at = number(asked, "lon"), number(asked, "lat")
+                height_m = None if ground is None else ground.height_m(*at)
                 return {**same, "height_m": height_m}
             return {**same, **self._looked(asked)}
         except SkylineError as error:
@@ -106,8 +108,8 @@ class LiveChannel:
 
         The gaps are between this skyline and the photo's.
         """
-        viewer = self._engine.viewer
         photo = self._session.photo(str(asked.get("photo")))
+        viewer = photo.ground.viewer
         pose = pose_of(asked.get("pose"), photo.skyline, viewer)
         sight = viewer.look(pose, photo.skyline)
         seen: dict[str, Any] = {

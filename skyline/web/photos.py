@@ -5,6 +5,8 @@ import io
 import secrets
 import threading
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -19,11 +21,14 @@ from skyline import (
     Narrowing,
     Photo,
     PhotoSkyline,
+    Projection,
     SkylineError,
     Stroke,
     read_photo,
 )
-from skyline.web.engine import Engine, shown_name
+from skyline.location import area_of
+from skyline.web.engine import Engine
+from skyline.web.ground import Ground, shown_name
 from skyline.web.messages import outcome_json
 
 _SHOWN_PX = 6000
@@ -32,22 +37,32 @@ _IN_MEMORY = 4
 """Number of photos whose pixels and evidence stay in memory."""
 _STEPS = {"screening": (0.0, 0.25), "fitting": (0.25, 0.5), "refining": (0.5, 1.0)}
 """Beginning and end of each step of a match, as shares of the whole."""
+_MAKING = {
+    "fetching tiles": (0.0, 0.3),
+    "reading the elevation model": (0.3, 0.35),
+    "building the store": (0.35, 0.85),
+}
+"""The same of the steps in which an area is made, as shares of these and the match."""
 
 
 class PagePhoto:
     """A photo on the page, with its skyline, strokes and results.
 
     Its file at ``path`` is the session's own, never changed; ``name`` is the user's name of it.
-    Raises `InputError` if the file cannot be used.
+    ``ground`` is None until the place is searched for, unless the command names stores. Raises
+    `InputError` if the file cannot be used.
     """
 
-    def __init__(self, path: Path, name: str) -> None:
+    def __init__(self, path: Path, name: str, ground: Ground | None) -> None:
         self.id = secrets.token_urlsafe(12)
         self.path = path
         self.name = shown_name(name)
         with path.open("rb") as file:
             self.content = hashlib.file_digest(file, "sha256").hexdigest()
+        self.projection: Projection | None = None
         self.skyline = opened(self)[1].solve()
+        self._ground = ground
+        self.near = self._noted_circle() if ground is None else None
         self.strokes: tuple[Stroke, ...] = ()
         self.trace: PhotoSkyline | None = None
         self.trace_text: str | None = None
@@ -75,6 +90,9 @@ class PagePhoto:
             "lonlat_deg": skyline.noted.lonlat_deg,
             "accuracy_m": skyline.noted.accuracy_m,
             "heading_deg": skyline.noted.heading_deg,
+            "near": self.near,
+            "ground": self._ground and self._ground.about,
+            "projection": str(skyline.projection),
             "strokes": [
                 {"kind": str(one.kind), "radius": one.radius_px, "points": one.points_px}
                 for one in self.strokes
@@ -82,6 +100,23 @@ class PagePhoto:
             "trace": self.trace_text,
             "result": self.result_json,
         }
+
+    @property
+    def ground(self) -> Ground:
+        """Where the photo is searched; raises `InputError` if no area was made for it yet."""
+        if self._ground is None:
+            raise InputError("there is no elevation for this photo yet; find the place first")
+        return self._ground
+
+    def search_in(self, ground: Ground) -> None:
+        """Search the photo in a ground from now on."""
+        self._ground = ground
+
+    def _noted_circle(self) -> tuple[float, float, float] | None:
+        """Return the circle that `skyline.locate` searches; None if the photo notes no position."""
+        with suppress(InputError):
+            return area_of([self.path], Narrowing())[1].near
+        return None
 
     def solve(self, strokes: Sequence[Stroke], trace: PhotoSkyline | None = None) -> None:
         """Find the skyline again under all strokes.
@@ -95,6 +130,18 @@ class PagePhoto:
             self.strokes = tuple(strokes)
             self.trace = trace
             self.fitted = None
+
+    def project(self, projection: Projection) -> None:
+        """Take the photo as one of another projection.
+
+        Its field of view is then unknown, unless the file notes it for that projection.
+        """
+        before, self.projection = self.projection, projection
+        try:
+            self.solve(self.strokes)
+        except InputError:
+            self.projection = before
+            raise
 
     def jpeg(self) -> bytes:
         """Return the picture that the page draws, without the file's metadata."""
@@ -132,17 +179,22 @@ class PagePhoto:
 
 def version_of(skyline: PhotoSkyline) -> str:
     """Return a digest that distinguishes skylines of one photo."""
-    return hashlib.sha256(skyline.row_px.tobytes() + skyline.trust.tobytes()).hexdigest()[:16]
+    seen = skyline.row_px.tobytes() + skyline.trust.tobytes() + skyline.projection.encode()
+    return hashlib.sha256(seen).hexdigest()[:16]
 
 
-@lru_cache(maxsize=_IN_MEMORY)
 def opened(photo: PagePhoto) -> tuple[Photo, Correction]:
     """Return a photo and its correction, from memory or its file.
 
     Raises `InputError` if the photo cannot be used; the message has the user's name of the file.
     """
+    return _opened(photo, photo.projection)
+
+
+@lru_cache(maxsize=_IN_MEMORY)
+def _opened(photo: PagePhoto, projection: Projection | None) -> tuple[Photo, Correction]:
     try:
-        read = read_photo(photo.path)
+        read = read_photo(photo.path, projection=projection)
         return read, Correction(read)
     except SkylineError as error:
         message = str(error.args[0]).replace(str(photo.path), photo.name)
@@ -174,6 +226,7 @@ class Match:
         self.cancelled = threading.Event()
         self.step = "waiting"
         self.share = 0.0
+        self._begun = 0.0  # share at which the match begins, after its area was made
         self.error: str | None = None
         self.done = False
 
@@ -181,7 +234,8 @@ class Match:
         """Match, and leave the result in the photo or an ``error``."""
         try:
             self._check()
-            result = engine.matcher.match(
+            ground = self._ground(engine)
+            result = ground.matcher.match(
                 self._skyline, narrowing=self._narrowing, report_progress=self._report
             )
         except _CancelledError:
@@ -192,11 +246,27 @@ class Match:
             self.error = "there is not enough memory for this match; narrow the search"
         else:
             self.photo.result = result
-            self.photo.result_json = self._question | outcome_json(result, engine)
+            about = {"ground": ground.about}
+            self.photo.result_json = self._question | outcome_json(result, ground) | about
         finally:
             self.step = "done"
             self.share = 1.0
             self.done = True
+
+    def _ground(self, engine: Engine) -> Ground:
+        """Return the photo's ground, made if it is missing."""
+        # The circle round the photo's own position may lie in an area that is there.
+        is_noted = self._narrowing.near == self.photo.near
+        asked = replace(self._narrowing, near=None) if is_noted else self._narrowing
+        if asked.near is None and self.photo.near is None and engine.ground is None:
+            raise InputError(
+                f"{self.photo.name} does not note where it was taken; say where to search: give a "
+                "place, and tick “In the circle”"
+            )
+        ground = engine.ground_for(self.photo.path, asked, self._report)
+        self.photo.search_in(ground)
+        self._begun = self.share
+        return ground
 
     def progress(self) -> dict[str, Any]:
         """Return the progress as JSON for the page."""
@@ -204,10 +274,15 @@ class Match:
 
     def _report(self, step: str, share: float) -> None:
         self._check()
-        begins, ends = _STEPS.get(step, (0.0, 1.0))
+        begins, ends = _MAKING.get(step) or self._after_making(step)
         # A step may run twice, and the bar must not run back.
         self.share = max(self.share, begins + (ends - begins) * min(share, 1.0))
         self.step = step
+
+    def _after_making(self, step: str) -> tuple[float, float]:
+        begins, ends = _STEPS.get(step, (0.0, 1.0))
+        left = 1.0 - self._begun
+        return self._begun + left * begins, self._begun + left * ends
 
     def _check(self) -> None:
         if self.cancelled.is_set():

@@ -17,7 +17,7 @@ from skyline import (
     write_located,
     write_trace,
 )
-from skyline.web.engine import Engine
+from skyline.web.ground import Ground
 from skyline.web.messages import pose_of
 from skyline.web.photos import PagePhoto, opened
 
@@ -40,14 +40,14 @@ def trace_of(photo: PagePhoto, path: Path) -> bytes:
         path.unlink(missing_ok=True)
 
 
-def chosen_of(asked: Mapping[str, Any], photo: PagePhoto, engine: Engine) -> MatchResult:
+def chosen_of(asked: Mapping[str, Any], photo: PagePhoto) -> MatchResult:
     """Return the result that begins with the pose that a request chooses.
 
     It is ``pose``, set by hand; or the last fit, if ``fitted`` is true; or else the candidate with
     the index ``rank``, 0 by default.
     """
     if asked.get("pose") is not None:
-        pose = pose_of(asked["pose"], photo.skyline, engine.viewer)
+        pose = pose_of(asked["pose"], photo.skyline, photo.ground.viewer)
         return MatchResult(photo.skyline, (pose,), 0.0, "chosen by a person", name=photo.name)
     if asked.get("fitted"):
         if photo.fitted is None:
@@ -64,25 +64,26 @@ def chosen_of(asked: Mapping[str, Any], photo: PagePhoto, engine: Engine) -> Mat
     return replace(photo.result.chosen(rank + 1), name=photo.name)
 
 
-def saved(kind: str, engine: Engine, photo: PagePhoto, result: MatchResult, folder: Path) -> bytes:
+def saved(kind: str, photo: PagePhoto, result: MatchResult, folder: Path) -> bytes:
     """Return a file of one of `KINDS`.
 
     It is written in a folder and read back. The first candidate of the result is the pose to save.
     """
     path = folder / f"{secrets.token_hex(8)}.{KINDS[kind]}"
     beside = path.with_suffix("")
-    matcher = engine.matcher
+    ground = photo.ground
+    matcher = ground.matcher
     pose = result.candidates[0]
     try:
         if kind == "photo":
             write_located(photo.path, path, pose)
         elif kind == "names":
-            path.write_bytes(_named(engine, photo, pose))
+            path.write_bytes(_named(ground, photo, pose))
         else:
             photos = [opened(photo)[0].rgb]
             if kind == "report":
                 done = f"{pose.origin.capitalize()} on the page."
-                report_matches(beside, matcher, [result], engine.peaks, photos, done).rename(path)
+                report_matches(beside, matcher, [result], ground.peaks, photos, done).rename(path)
             else:
                 export_matches(path, [result], matcher.frame, photos)
         return path.read_bytes()
@@ -91,10 +92,10 @@ def saved(kind: str, engine: Engine, photo: PagePhoto, result: MatchResult, fold
         shutil.rmtree(beside, ignore_errors=True)
 
 
-def _named(engine: Engine, photo: PagePhoto, pose: Pose) -> bytes:
+def _named(ground: Ground, photo: PagePhoto, pose: Pose) -> bytes:
     """Return the photo with the names of its summits, as PNG."""
-    if engine.peaks is None:
+    if ground.peaks is None:
         raise InputError("no names are known; start skyline serve with --peaks FILE")
     picture = opened(photo)[0]
-    seen = engine.viewer.summits(pose, picture.blank)
+    seen = ground.viewer.summits(pose, picture.blank)
     return draw_labels(picture.blank, picture.rgb, seen)[0]

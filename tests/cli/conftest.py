@@ -4,10 +4,9 @@ import json
 from functools import partial
 
 import pytest
-from range_server import Behaviour, serve
-from scenes import candidate_at, degree_tile, fractal, take_photo
+from scenes import candidate_at
 
-from skyline import read_dem, stand_at
+from skyline import read_dem
 from skyline.fetch.dem_tiles import fetch_dem
 from skyline.fetch.remote import Patience
 
@@ -27,17 +26,6 @@ def pose(dem, tmp_path_factory):
     return path
 
 
-@pytest.fixture(scope="session")
-def one_degree(tmp_path_factory):
-    """A folder with the tile of the degree 9 E, 46 N, and a photo from its middle."""
-    folder = tmp_path_factory.mktemp("degree")
-    heights = 1500.0 + fractal(240, 240, 1200.0, seed=5)
-    (folder / "dem.tif").write_bytes(degree_tile(heights, 9, 46))
-    terrain = read_dem(folder / "dem.tif")
-    take_photo(folder / "photo.jpg", terrain, stand_at(terrain, lon=9.5, lat=46.5))
-    return folder
-
-
 @pytest.fixture
 def cache(tmp_path, monkeypatch):
     """The folder of an empty cache, in the working folder; fetches repeat without delay."""
@@ -46,12 +34,3 @@ def cache(tmp_path, monkeypatch):
     hasty = partial(fetch_dem, patience=Patience(first_delay_s=0.0))
     monkeypatch.setattr("skyline.cache.fetch_dem", hasty)
     return tmp_path / "cache"
-
-
-@pytest.fixture
-def tile_server(one_degree, monkeypatch):
-    """The behaviour of a server that has the one tile and is the source by default."""
-    behaviour = Behaviour(files={"/N46E009.tif": (one_degree / "dem.tif").read_bytes()})
-    with serve(behaviour) as address:
-        monkeypatch.setenv("SKYLINE_DEM_SOURCE", address + "/{ns}{lat:02d}{ew}{lon:03d}.tif")
-        yield behaviour

@@ -7,6 +7,7 @@ import threading
 import time
 from contextlib import nullcontext
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from skyline import cache as areas
 from skyline.cache import Area, prepare_area
 from skyline.geodesy.bounds import contains_box
 from skyline.location import area_of
+from skyline.tasks.locate import serving_command
 
 PLACE = 9.5, 46.5
 NEAR = "9.5,46.5,1.5"
@@ -38,7 +40,18 @@ def test_a_photo_is_located(located, cache, tmp_path):
     off_m = math.hypot(*frame.from_lonlat(best["lon"], best["lat"]))
     assert off_m < record["answer_within_m"] <= 1000.0
     assert abs(best["heading_deg"] - 140.0) < 5.0
-    assert (tmp_path / "page" / "index.html").stat().st_size > 0
+    (folder,) = cache.glob("areas/*/*")
+    assert f"skyline serve {folder} " in located.err
+    report = (tmp_path / "page" / "index.html").read_text()
+    assert f"run: skyline serve {folder} " in report
+    assert 'href="http://127.0.0.1:8765/"' in report
+
+
+def test_the_command_that_serves_the_page_names_no_home():
+    area = Path.home() / "a cache" / "9_46_10_47"
+    assert serving_command(area, ["my photo.jpg"]) == (
+        "skyline serve ~/'a cache/9_46_10_47' 'my photo.jpg'"
+    )
 
 
 @pytest.mark.usefixtures("located")
@@ -75,7 +88,11 @@ def test_the_cache_is_listed_and_cleared_but_for_other_files(run, cache):
     (area,) = listed["areas"]
     assert (area["tiles"], area["finished"]) == (1, True)
     assert listed["bytes"] == area["tile_bytes"] + area["store_bytes"] > 0
-    assert "areas: 1," in run("cache").out
+    said = run("cache").out
+    assert said.startswith(f"{area['folder']}: tiles: 1,")
+    assert "areas: 1," in said
+    places = json.loads(run("info", area["folder"], "--json").out)["rows"]
+    assert places == skyline.Matcher(prepare_area(Area.around([PLACE], 1.5, 1.5)).store).rows
     (cache / "mine.txt").write_text("not of skyline")
     assert "areas removed: 1," in run("cache", "--clear").out
     assert [path.name for path in cache.rglob("*") if path.is_file()] == ["mine.txt"]

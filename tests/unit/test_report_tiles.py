@@ -9,6 +9,7 @@ from PIL import Image
 from scenes import field_of
 
 from skyline import InputError, ReliefTiles
+from skyline.report.maps import contours
 
 LON, LAT = 9.8, 46.8
 
@@ -87,3 +88,18 @@ def test_the_light_comes_from_the_north_west():
 def test_a_tile_that_is_none_is_refused(at):
     with pytest.raises(InputError):
         ReliefTiles(field_of(np.zeros((9, 9), np.float32))).png(*at)
+
+
+def test_contours_run_between_heights_on_their_two_sides():
+    heights = np.tile(np.float32([95.0, 98.0, 101.0, 104.0, np.nan, 130.0]), (4, 1))
+    # Of the inner pixels 98, 101, 104 and nan, the first has a neighbour beyond 100 m.
+    assert contours(heights, 10.0).tolist() == [[True, False, False, False]] * 2
+    assert not contours(heights, 50.0)[:, 1:].any()
+
+
+def test_contours_are_no_closer_than_five_pixels_on_a_steep_slope():
+    tiles = ReliefTiles(centred(np.zeros((9, 9), np.float32), 25.0))
+    # At 47 degrees north a pixel is 107 km / 2**zoom wide.
+    assert tiles.contours_m(15) == 20.0
+    assert tiles.contours_m(12) == 200.0
+    assert tiles.contours_m(9) is None

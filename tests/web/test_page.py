@@ -17,6 +17,7 @@ from rasterio.transform import Affine
 from scenes import SPACING_M, candidate_at, fractal, write_dem
 from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.keys import Keys
+from selenium.webdriver.support.ui import Select
 
 from skyline import build_places, read_dem, read_photo, read_trace, write_located
 
@@ -426,6 +427,41 @@ def test_a_message_is_shown_once_and_as_long_as_it_is_true(page, photo, tmp_path
     assert len(page.messages()) == 1
     page.click("#photos li:last-child [aria-label^=Remove]")
     assert page.messages() == []
+
+
+def test_a_photo_without_mountains_says_so_with_nothing_to_press(page, photo, tmp_path):
+    noise = np.random.default_rng(1).integers(0, 255, (300, 400), dtype=np.uint8)
+    Image.fromarray(noise).convert("RGB").save(tmp_path / "noise.png")
+    page.open(tmp_path / "noise.png")
+    assert page.find("#answer").text.startswith("No skyline of mountains is found: 0.0 degrees")
+    assert not page.find("#find").is_enabled()
+    page.open(photo)
+    assert page.find("#answer").text == ""
+    assert page.find("#find").is_enabled()
+
+
+def test_a_second_tab_follows_the_first(page, photo):
+    page.open(photo)
+    first = page.browser.current_window_handle
+    page.browser.switch_to.new_window("tab")
+    page.resize(*SIZES["wide"])
+    page.reload()
+    page.until(lambda: page.state("state.rows && state.rows.length"))
+    page.draw("line", [(100, 50), (400, 50)])
+    assert page.find("#unsaved").text.startswith("Not saved: the mended skyline of photo.jpg.")
+    page.script("document.getElementById('known').open = true")
+    Select(page.find("#projection")).select_by_value("cylindrical")
+    page.until(lambda: page.state("state.photo.projection") == "cylindrical")
+    second = page.browser.current_window_handle
+    page.browser.switch_to.window(first)
+    page.until(lambda: page.state("state.photo.projection") == "cylindrical")
+    page.until(lambda: page.state("state.photo.strokes.length") == 1)
+    page.until(lambda: page.state("state.rows && Math.abs(state.rows[200] - 50) < 1"))
+    page.browser.switch_to.window(second)
+    page.click("#photos [aria-label^=Remove]")
+    page.browser.close()
+    page.browser.switch_to.window(first)
+    page.until(lambda: page.find("#welcome").is_displayed())
 
 
 def test_a_bad_photo_is_one_line_and_a_reload_keeps_the_good_one(page, photo, tmp_path):

@@ -22,7 +22,6 @@ from skyline.web.server import Reach, own_addresses
 def test_what_cannot_be_served_is_one_line(run, store, photo, renderings, tmp_path):
     assert_refused(run("serve", store, tmp_path / "none.jpg"), "none.jpg does not exist")
     assert_refused(run("serve", tmp_path / "none.h5", "--port", "0"), "none.h5")
-    assert_refused(run("serve", photo, "--port", "0"), "photo.jpg")
     assert_refused(run("serve", renderings, "--port", "0"), "holds renderings, not places")
     assert_refused(run("serve", store, "--peaks", photo, "--port", "0"), "cannot be read as CSV")
     assert_refused(run("serve", store, "--host", "192.0.2.1"), "cannot be listened on")
@@ -91,6 +90,7 @@ def test_two_stores_are_served_as_one(run, dem, photo, tmp_path):
         built(run, dem, store, bounds)
     with serving(*stores, photo) as server:
         about = server.ask("GET", "/state")[1]
+    about |= about["ground"]
     assert about["store"] == "west.h5, east.h5"
     assert about["given"] == ["photo.jpg"]
     assert about["places"] == pytest.approx(whole.rows, rel=0.2)
@@ -110,7 +110,7 @@ def test_without_the_stores_dem_it_matches_and_says_what_is_missing(run, dem, ph
     moved.unlink()
     with serving(store, given) as server:
         _, state = server.ask("GET", "/state")
-        found = [state[name] for name in ("terrain", "given")]
+        found = [state["ground"]["terrain"], state["given"]]
         assert found == [None, ["photo.jpg"]]
         session = server.begin()
         record = server.ask("POST", f"{session}/given/0")[1]
@@ -121,7 +121,8 @@ def test_without_the_stores_dem_it_matches_and_says_what_is_missing(run, dem, ph
         assert (status, "photo.jpg cannot be copied" in said["error"]) == (400, True)
         Image.new("RGB", (30, 20)).save(given)
         assert server.ask("POST", f"{session}/given/1")[0] == 404
-        assert server.ask("GET", "/relief/9/270/180.png")[0] == 404
+        relief = f"/relief/{state['ground']['id']}/9/270/180.png"
+        assert server.ask("GET", relief)[0] == 404
         with live(server, session) as socket_:
             socket_.send(look(of_photo))
             assert "DEM is not at hand" in received(socket_, "look")["error"]

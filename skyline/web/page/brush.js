@@ -1,6 +1,6 @@
 // Strokes over the photo; the skyline is found again after each.
 import * as server from "./server.js";
-import { $, ARROWS, alertUser, emit, on, report, settle, showStatus, state } from "./state.js";
+import { $, ARROWS, alertUser, emit, on, report, settle, showStatus, state, toView } from "./state.js";
 import { keep } from "./kept.js";
 import { draw, fit, inPhoto, keepInView, marks, pan, view, zoom } from "./view.js";
 import { release, turnBy } from "./hand.js";
@@ -11,6 +11,7 @@ const KEYS = { m: "move", s: "sky", g: "ground", l: "line", e: "erase", t: "turn
 const undone = [];
 const unsent = new Set(); // photos with strokes that the server has not seen
 let solving = false;
+let dragged = null; // what the drag does that is under way
 
 const tool = () => document.querySelector("input[name=tool]:checked").value;
 const radius = () => (tool() === "line" ? 0 : Number($("brush").value) / view.scale / 2);
@@ -23,6 +24,8 @@ function choose(name) {
 function chosen() {
   marks.brush = PAINTS.includes(tool()) ? Math.max(radius(), 2 / view.scale) : 0;
   canvas.style.cursor = marks.brush ? "crosshair" : tool() === "turn" ? "ew-resize" : "grab";
+  // One finger works with a tool; without one it scrolls a phone's page.
+  canvas.style.touchAction = tool() === "move" ? "" : "none";
   draw();
 }
 
@@ -81,6 +84,7 @@ async function send() {
       if (isSame(strokes, photo.strokes)) unsent.delete(photo);
       performance.measure("stroke", { start: began });
       settle("strokes");
+      emit("mended");
       if (photo !== state.photo) continue;
       showSkyline(skyline);
       showShare();
@@ -141,21 +145,40 @@ function dragOf(event) {
 }
 
 function dragging(event) {
+  if (!event.isPrimary) return;
   canvas.setPointerCapture(event.pointerId);
-  const drag = dragOf(event);
-  if (drag === DRAGS.paint) begin(inPhoto(event));
+  dragged = dragOf(event);
+  if (dragged === DRAGS.paint) begin(inPhoto(event));
   let last = [event.clientX, event.clientY];
   const move = (next) => {
+    if (!next.isPrimary) return;
     const by = [next.clientX - last[0], next.clientY - last[1]];
     last = [next.clientX, next.clientY];
-    drag.move(next, by);
+    dragged?.move(next, by);
   };
   const end = () => {
     canvas.removeEventListener("pointermove", move);
-    drag.end();
+    dragged?.end();
+    dragged = null;
   };
   canvas.addEventListener("pointermove", move);
   canvas.addEventListener("lostpointercapture", end, { once: true });
+}
+
+// A second finger has come down: the first one does not draw, and the photo moves with both.
+function pinched() {
+  if (dragged === DRAGS.turn) release();
+  dragged = null;
+  marks.stroke = null;
+  draw();
+}
+
+// On a phone the tools are shown when they are asked for.
+function mend() {
+  const isShown = document.querySelector("main").classList.toggle("mending");
+  $("mend").setAttribute("aria-expanded", String(isShown));
+  choose(isShown ? "sky" : "move");
+  if (isShown) toView("photo-pane");
 }
 
 function paint(event) {
@@ -240,6 +263,7 @@ export async function traceFrom(file) {
     const skyline = await server.loadTrace(photo, trace);
     Object.assign(photo, { strokes: [], trace, solved: 0 });
     keep(photo);
+    emit("mended");
     if (photo !== state.photo) return;
     forget();
     showSkyline(skyline);
@@ -260,9 +284,12 @@ export function start() {
   document.addEventListener("keydown", (event) => {
     // The photo's keys work on the whole page; letters of tools also while a button has the focus.
     const isTool = KEYS[event.key.toLowerCase()] && !event.ctrlKey && !event.metaKey;
-    if (event.target === document.body || (isTool && !event.target.matches("#photo, input[type=number]"))) pressed(event);
+    if (event.target === document.body || (isTool && !event.target.matches("#photo, input[type=number], input[type=text]"))) pressed(event);
   });
   on("connected", send);
+  on("pinch", pinched);
+  on("photo", (photo) => ($("mend").disabled = !photo));
+  $("mend").onclick = mend;
   $("undo").onclick = undo;
   $("redo").onclick = redo;
   $("load-trace").onclick = () => $("trace-file").click();

@@ -1,11 +1,12 @@
 // The search: start, progress and cancellation, and the list of its candidates.
 import * as server from "./server.js";
-import { $, degrees, element, emit, mapLink, on, percent, report, settle, showStatus, state } from "./state.js";
+import { $, degrees, element, emit, mapLink, on, percent, report, setGround, settle, showStatus, state, toView } from "./state.js";
 import { known, standing } from "./known.js";
 import { leave, toCandidate } from "./hand.js";
 import { choose as choosePhoto } from "./photos.js";
 
-const STEPS = { waiting: "waiting for another search", screening: "comparing all places", fitting: "fitting the best", refining: "rendering around the best", done: "done" };
+const STEPS = { waiting: "waiting for another search", screening: "comparing all places", fitting: "fitting the best", refining: "rendering around the best", done: "done",
+  "fetching tiles": "fetching elevation", "building the store": "rendering the area's skylines" };
 
 const CANCELLED = "cancelled";
 const awaited = new Set(); // photos whose searches this page has begun
@@ -35,7 +36,9 @@ async function find(photo) {
 
 function ended(photo, outcome) {
   photo.state = outcome;
+  photo.ground = photo.result?.ground ?? photo.ground;
   if (photo !== state.photo) return;
+  setGround(photo.ground);
   if (outcome === "ready") return showStatus("The search ended without a result");
   // Until a candidate is chosen, the pose does not belong to this search.
   leave();
@@ -43,6 +46,7 @@ function ended(photo, outcome) {
   emit("result");
   show();
   if (photo.result.candidates.length) choose(0);
+  toView("answer");
 }
 
 // Ends a search that was begun before the page was loaded again.
@@ -81,9 +85,12 @@ export function choose(index) {
 function show() {
   const { photo } = state;
   const busy = photo?.state === "matching";
-  $("find").disabled = !photo || busy;
+  // What a person says about the camera may widen what is seen.
+  const lacks = state.lacks && !("fov_deg" in known()) ? state.lacks : null;
+  $("find").disabled = !photo || busy || Boolean(lacks);
   $("progress").hidden = !busy;
-  $("answer").replaceChildren(...(photo?.result && !busy ? verdict(standing()) : []));
+  $("find-hint").hidden = Boolean(!photo || photo.ground || busy);
+  $("answer").replaceChildren(...(busy ? [] : lacks ? missing(lacks) : photo?.result ? verdict(standing()) : []));
   list(busy ? [] : standing()?.candidates ?? []);
 }
 
@@ -101,6 +108,10 @@ function verdict(result) {
   if (state.chosen > 0) return ofOther(result.candidates[state.chosen].pose);
   const notes = result.notes.map((one) => element("p", { class: "claim" }, one));
   return [...(result.answered ? found(result) : missed(result)), ...notes];
+}
+
+function missing(lacks) {
+  return [element("span", { class: "no" }, "No skyline of mountains is found: "), `${lacks}. Where the photo shows one, paint it with the tools.`];
 }
 
 function ofOther({ confidence }) {
@@ -139,6 +150,7 @@ export function start() {
     $("bar").value = 0;
     $("step").textContent = "";
     find(state.photo);
+    toView("progress");
   };
   $("find-all").onclick = findAll;
   $("cancel").onclick = () => server.cancel(state.photo).catch((error) => report(error, "search"));
@@ -157,5 +169,6 @@ export function start() {
   on("photo", (photo) => {
     show();
     if (photo?.result) choose(0);
+    toView(photo?.result ? "answer" : "find");
   });
 }

@@ -1,6 +1,6 @@
 // Strokes, kept in the browser until they are saved: by the content of their photo, so that they are
 // taken up again whatever becomes of the server, of the page and of the photo's name.
-import { alertUser, settle, state } from "./state.js";
+import { alertUser, emit, settle, state } from "./state.js";
 
 const PREFIX = "skyline strokes ";
 const key = (photo) => PREFIX + photo.content;
@@ -20,6 +20,7 @@ export function keptFor(photos) {
 
 export function keep(photo) {
   photo.unsaved = photo.strokes.length > 0;
+  emit("unsaved");
   if (!photo.unsaved) return localStorage.removeItem(key(photo));
   try {
     localStorage.setItem(key(photo), JSON.stringify({ name: photo.name, strokes: photo.strokes, trace: photo.trace }));
@@ -31,6 +32,7 @@ export function keep(photo) {
 
 export function saved(photo) {
   photo.unsaved = false;
+  emit("unsaved");
   localStorage.removeItem(key(photo));
 }
 

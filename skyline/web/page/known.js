@@ -1,5 +1,6 @@
 // The form of what the user knows about a photo's place, prefilled from the photo's EXIF.
-import { $, on, state, emit, widest } from "./state.js";
+import * as server from "./server.js";
+import { $, alertUser, on, report, settle, state, emit, widest } from "./state.js";
 
 const LEAST_KM = 0.5;
 const MOST_KM = 100;
@@ -25,7 +26,7 @@ export function known() {
   return {
     ...(fov_deg === (state.photo?.fov_deg ?? null) ? {} : { fov_deg }),
     heading_deg: isKnown("heading") ? [value("heading"), value("slack")] : null,
-    near: isKnown("near") ? [state.circle.lon, state.circle.lat, radiusKm()] : null,
+    near: isKnown("near") && state.circle ? [state.circle.lon, state.circle.lat, radiusKm()] : null,
     elevation_m: isKnown("elevation") ? [value("low"), value("high")] : null,
     eye_height_m: isHeightKnown() ? value("eye") : null,
   };
@@ -47,8 +48,38 @@ function show() {
   $("radius-out").textContent = `${radiusKm()} km`;
   const inputs = { fov: ["fov"], heading: ["heading", "slack"], near: ["radius", "near-here"], elevation: ["low", "high"] };
   for (const [name, ids] of Object.entries(inputs)) for (const id of ids) $(id).disabled = !isKnown(name);
+  if (document.activeElement !== $("near-place")) $("near-place").value = state.circle && isKnown("near") ? inWords(state.circle) : "";
+  $("projection").disabled = !state.photo;
   $("known-summary").textContent = summary();
   emit("known");
+}
+
+const inWords = ({ lat, lon }) => `${lat.toFixed(5)}, ${lon.toFixed(5)}`;
+
+// Reads a latitude and a longitude as people write and copy them: 46.8, -9.84 or 46.8 N 9.84 W.
+function placeIn(text) {
+  const parts = [...text.matchAll(/(-?\d+(?:\.\d+)?)\s*°?\s*([NSEW]?)/gi)].map(([, number, side]) =>
+    /[sw]/i.test(side) ? -number : Number(number));
+  const [lat, lon] = parts;
+  return parts.length === 2 && Math.abs(lat) <= 90 && Math.abs(lon) <= 180 ? { lat, lon } : null;
+}
+
+function typed() {
+  const text = $("near-place").value;
+  if (!text.trim()) {
+    $("near-known").checked = false;
+    return showCircle();
+  }
+  const place = placeIn(text);
+  if (!place) return alertUser("A place is a latitude and a longitude in degrees, such as 46.80, 9.84.", "place");
+  settle("place");
+  searchAround(place);
+}
+
+// Limits the search to the circle round a place.
+export function searchAround(place) {
+  $("near-known").checked = true;
+  showCircle(place);
 }
 
 function summary() {
@@ -77,13 +108,16 @@ function fromPhoto(photo) {
   if (!photo) return;
   const asked = photo.result?.asked ?? NOTHING;
   const fov_deg = "fov_deg" in asked ? asked.fov_deg : photo.fov_deg;
+  $("projection").value = photo.projection;
   $("fov").max = widest(photo);
   $("fov-known").checked = fov_deg !== null;
   $("heading-known").checked = asked.heading_deg !== null;
-  $("near-known").checked = asked.near !== null;
+  const near = asked.near ?? (photo.result ? null : photo.near);
+  // A circle that was given before the photo stays, where there is no store to search instead.
+  if (near || state.ground || photo.lonlat_deg) $("near-known").checked = Boolean(near);
   $("elevation-known").checked = asked.elevation_m !== null;
-  fillNumbers(photo, asked, fov_deg ?? photo.fov_deg);
-  const [lon, lat] = asked.near ?? photo.lonlat_deg ?? [];
+  fillNumbers(photo, { ...asked, near }, fov_deg ?? photo.fov_deg);
+  const [lon, lat] = near ?? photo.lonlat_deg ?? [];
   showCircle(lon === undefined ? null : { lon, lat });
 }
 
@@ -101,7 +135,22 @@ function fillNumbers(photo, asked, fov_deg) {
   if (asked.eye_height_m !== null) set("eye", asked.eye_height_m);
 }
 
+// The skyline is another one in another projection, and the file's field of view may not hold.
+async function project() {
+  const { photo } = state;
+  settle("projection");
+  try {
+    await server.project(photo, $("projection").value);
+    Object.assign(photo, (await server.records()).find((one) => one.id === photo.id));
+    emit("projected", photo);
+  } catch (error) {
+    report(error, "projection");
+    $("projection").value = photo.projection;
+  }
+}
+
 export function start() {
+  $("projection").onchange = project;
   for (const name of ["fov", "heading", "elevation"]) $(`${name}-known`).onchange = show;
   for (const id of ["fov", "heading", "slack", "low", "high", "eye", "radius"]) {
     $(id).oninput = () => {
@@ -110,6 +159,8 @@ export function start() {
     };
   }
   $("near-known").onchange = () => showCircle();
+  $("near-place").onchange = typed;
+  $("near-place").onfocus = () => $("near-place").select();
   $("known-form").onsubmit = (event) => event.preventDefault();
   on("photo", fromPhoto);
   on("circled", show);

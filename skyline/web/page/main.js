@@ -8,17 +8,20 @@ import * as map from "./map.js";
 import * as photos from "./photos.js";
 import * as saving from "./save.js";
 import * as server from "./server.js";
-import { $, report, state } from "./state.js";
+import { $, on, report, setGround, state } from "./state.js";
+import * as touch from "./touch.js";
 import * as view from "./view.js";
 
 try {
-  state.store = await server.about();
-  $("store").textContent = `${state.store.store}: ${state.store.places} places`;
-  $("privacy").textContent = state.store.machine
-    ? `Photos go to ${state.store.machine}, the machine that serves this page, and to no other. Over a network they are sent unencrypted.`
+  state.server = await server.about();
+  on("ground", (ground) => ($("store").textContent = ground ? `${ground.store}: ${ground.places} places` : ""));
+  const where = state.server.machine
+    ? `Photos go to ${state.server.machine}, the machine that serves this page, and to no other. Over a network they are sent unencrypted.`
     : "Photos stay on this machine.";
+  $("privacy").textContent = state.server.ground ? where : `${where} The elevation of the area is fetched when you find the place.`;
   const opened = await server.begin(photos.restore);
-  for (const part of [kept, view, hand, map, known, find, saving, brush]) part.start();
+  for (const part of [kept, view, touch, hand, map, known, find, saving, brush]) part.start();
+  setGround(state.server.ground);
   document.documentElement.dataset.ready = "yes";
   await photos.start(opened);
 } catch (error) {

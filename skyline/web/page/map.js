@@ -1,15 +1,21 @@
 // The map: relief from the elevation model, candidates and their views, the camera, the circle.
 import * as server from "./server.js";
-import { $, ARROWS, alertUser, degrees, element, on, percent, state, emit } from "./state.js";
+import { $, ARROWS, alertUser, degrees, element, isPhone, on, onPhone, percent, state, emit } from "./state.js";
 import { moveTo, placeAt, release } from "./hand.js";
-import { showCircle, standing } from "./known.js";
+import { searchAround, showCircle, standing } from "./known.js";
 
 const L = window.L;
 const REACH_M = 2000; // how far a view is drawn
 const HANDLE_PX = [74, 102, 130]; // distances of the handle from the camera, the first that is free
 const APART_PX = 26;
+const MOST_NAMES = 60;
+const STEPS_DEG = [30, 10, 5, 2, 1, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01]; // between lines on an empty map
 const EARTH_M = 6371008.8;
 let map;
+let relief = null; // of the ground
+let named; // the names
+let names = []; // of the gazetteer, with longitude and latitude
+let frame; // of the ground; without one, lines of latitude and longitude
 let camera;
 let handle; // of the direction
 let cone; // the view of the camera
@@ -43,17 +49,65 @@ function view(pose) {
 function showCandidates() {
   spots.clearLayers();
   const result = standing();
-  result?.candidates.forEach((candidate, index) => {
+  const candidates = [...(result?.candidates ?? []).entries()].reverse(); // the best is drawn over the others
+  for (const [index, { pose, ellipse }] of candidates) {
     const isBest = index === 0 && result.answered;
-    drawView(candidate.pose, isBest);
-    if (candidate.ellipse && index === state.chosen) drawEllipse(candidate.ellipse);
-    drawSpot(candidate.pose, index, isBest);
-  });
+    drawView(pose, isBest);
+    if (ellipse && index === state.chosen) drawEllipse(ellipse);
+    drawSpot(pose, index, isBest);
+  }
+  showLegend();
+}
+
+// Explains the marks that are on the map.
+function showLegend() {
+  const result = standing();
+  const candidates = result?.candidates ?? [];
+  const interval_m = state.ground?.contours_m?.[Math.round(map.getZoom())];
+  const shown = {
+    camera: state.pose,
+    best: result?.answered,
+    spots: candidates.length > (result?.answered ? 1 : 0),
+    ellipse: candidates[state.chosen]?.ellipse,
+    noted: state.photo?.lonlat_deg,
+    circle: map.hasLayer(circle),
+    names: names.length,
+    area: state.ground,
+    contours: interval_m,
+  };
+  $("contours").textContent = `contours every ${interval_m} m, darker every ${5 * interval_m} m`;
+  for (const item of $("map-legend").children) item.hidden = !shown[item.dataset.of];
+}
+
+// Names what is in sight, the highest first, as far as there is room.
+function showNames() {
+  named.clearLayers();
+  const size = map.getSize();
+  const taken = [];
+  for (const [name, lon, lat] of names) {
+    const at = onMap(lat, lon);
+    const { x, y } = map.latLngToContainerPoint(at);
+    const box = [x - 6, y - 9, x + 12 + 7 * name.length, y + 9];
+    if (box[0] < 0 || box[1] < 0 || box[2] > size.x || box[3] > size.y) continue;
+    if (taken.some((other) => box[0] < other[2] && other[0] < box[2] && box[1] < other[3] && other[1] < box[3])) continue;
+    taken.push(box);
+    L.marker(at, { icon: icon("peak", 10), interactive: false, keyboard: false, alt: "", zIndexOffset: -1000 }).addTo(named)
+      .bindTooltip(name, { permanent: true, direction: "right", offset: [4, 0], className: "label" });
+    if (taken.length === MOST_NAMES) break;
+  }
+}
+
+async function fetchNames(ground) {
+  const found = ground?.peaks ? await server.names(ground).catch(() => []) : [];
+  if (ground?.id !== state.ground?.id) return;
+  names = found;
+  showNames();
+  showLegend();
 }
 
 function drawView(pose, isBest) {
   const share = pose.confidence ?? 0.3;
-  const color = isBest ? "#ffd23f" : "#cfe8f5";
+  const color = isBest ? "#d1103d" : "#1f5fbf";
   const opacities = { opacity: 0.4 + 0.6 * share, fillOpacity: 0.06 + 0.22 * share };
   L.polygon(view(pose), { color, weight: 1.5, ...opacities, interactive: false }).addTo(spots);
 }
@@ -78,14 +132,15 @@ function showNoted(photo) {
   const at = onMap(lat, lon);
   const about = "Place noted in the photo";
   if (photo.accuracy_m) L.circle(at, { radius: photo.accuracy_m, color: "#f2a7ff", weight: 1.5, fillOpacity: 0.08, interactive: false }).addTo(noted);
-  L.marker(at, { icon: icon("noted", 16), title: about, alt: about, keyboard: false, zIndexOffset: 500 }).addTo(noted);
+  L.marker(at, { icon: icon("noted", 16), title: about, alt: about, keyboard: false, zIndexOffset: 500 }).addTo(noted)
+    .bindTooltip("GPS", { permanent: true, direction: "right", offset: [8, 0], className: "label" });
 }
 
 // Shows the answer and its view; without an answer, all candidates.
 function goToResult() {
   const result = standing();
   const shown = result?.answered ? result.candidates.slice(0, 1) : result?.candidates ?? [];
-  if (shown.length) map.fitBounds(L.latLngBounds(shown.flatMap(({ pose }) => view(pose))).pad(0.1), { maxZoom: 15, animate: false });
+  if (shown.length) map.fitBounds(L.latLngBounds(shown.flatMap(({ pose }) => view(pose))).pad(0.1), { maxZoom: 15, animate: false, paddingTopLeft: [50, 0] });
 }
 
 function showCamera() {
@@ -147,18 +202,21 @@ function makeCamera() {
 
 // Draws the circle that limits the search, unless its radius is null.
 function drawCircle(km) {
+  state.circle ??= middle();
   if (km !== null) circle.setRadius(1000 * km);
   for (const one of [circle, centre]) {
     one.setLatLng(onMap(state.circle.lat, state.circle.lon));
     km === null ? one.remove() : one.addTo(map);
   }
+  showLegend();
+  // Without a ground, the circle is all that there is to see.
+  if (km !== null && !state.ground) map.fitBounds(circle.getBounds(), { animate: false });
 }
 
 export const middle = () => offMap(map.getCenter());
 
 function makeCircle() {
-  const place = box(state.store.area).getCenter();
-  state.circle = offMap(place);
+  const place = map.getCenter();
   circle = L.circle(place, { radius: 3000, color: "#ff9f6b", weight: 2, dashArray: "6 4", fillOpacity: 0.05, interactive: false });
   centre = L.marker(place, { icon: icon("centre", 18), draggable: true, title: "Middle of the circle: drag it, or arrow keys", alt: "Middle of the circle" });
   const moved = () => {
@@ -183,7 +241,7 @@ function showWhere() {
   const at = (shown) => {
     const place = offMap(shown);
     where.textContent = degrees(place.lon, place.lat);
-    server.send({ type: "height", ...place, seq: ++asked });
+    server.send({ type: "height", ...place, ground: state.ground?.id, seq: ++asked });
   };
   map.on("mousemove", (event) => at(event.latlng));
   map.on("moveend", () => at(map.getCenter()));
@@ -197,36 +255,88 @@ function showWhere() {
 const eastOf = (west, east) => (east < west ? east + 360 : east);
 const box = ([west, south, east, north]) => L.latLngBounds([south, west], [north, eastOf(west, east)]);
 
-function makeMap({ area, terrain }) {
-  const [west, , east] = area;
-  middleLon = (west + eastOf(west, east)) / 2;
-  map = L.map("map", { attributionControl: false, maxZoom: 18, minZoom: 3, zoomSnap: 0.5 });
-  if (terrain) addRelief(terrain);
-  else alertUser("The store's DEM is not at hand: the page shows no relief and renders no skyline. Start skyline serve with --dem DEM.", "dem");
-  L.rectangle(box(area), { color: "#fff", weight: 1.5, dashArray: "2 5", fill: false, interactive: false }).addTo(map);
+function makeMap() {
+  map = L.map("map", { attributionControl: false, maxZoom: 18, minZoom: 1, zoomSnap: 0.5 }).setView([0, 0], 1);
   L.control.scale({ imperial: false }).addTo(map);
-  map.fitBounds(box(area), { padding: [8, 8] });
+  frame = L.layerGroup().addTo(map);
+  map.on("moveend", () => state.ground || showDegrees());
+  map.on("click", ({ latlng }) => state.ground || searchAround(offMap(latlng)));
+  named = L.layerGroup().addTo(map);
   noted = L.layerGroup().addTo(map);
   spots = L.layerGroup().addTo(map);
 }
 
-function addRelief(terrain) {
+// Shows the relief and the outline of the stores that are searched.
+function showGround(ground) {
+  relief?.remove();
+  relief = null;
+  frame.clearLayers();
+  if (!ground) return showDegrees();
+  const { area, terrain } = ground;
+  const [west, , east] = area;
+  middleLon = (west + eastOf(west, east)) / 2;
+  if (terrain) addRelief(ground);
+  else alertUser("The store's DEM is not at hand: the page shows no relief and renders no skyline. Start skyline serve with --dem DEM.", "dem");
+  L.rectangle(box(area), { color: "#fff", weight: 1.5, dashArray: "2 5", fill: false, interactive: false }).addTo(frame);
+  map.fitBounds(box(area), { padding: [8, 8], animate: false });
+  if (!map.hasLayer(circle)) state.circle = middle();
+}
+
+// Draws lines of latitude and longitude, named, a few on each side.
+function showDegrees() {
+  frame.clearLayers();
+  const seen = map.getBounds();
+  const [west, south, east, north] = [seen.getWest(), seen.getSouth(), seen.getEast(), seen.getNorth()];
+  const line = (from, to, name, offset) => L.polyline([from, to], { color: "#79838c", weight: 1, interactive: false })
+    .bindTooltip(name, { permanent: true, direction: "right", offset, className: "degrees" }).addTo(frame).openTooltip(from);
+  for (const lat of linesBetween(Math.max(-80, south), Math.min(80, north), 3)) {
+    line([lat, west], [lat, east], degreesOf(lat, "N", "S"), [0, 0]);
+  }
+  for (const lon of linesBetween(west, east, 5)) {
+    line([north, lon], [south, lon], degreesOf(offMap({ lat: 0, lng: lon }).lon, "E", "W"), [0, 10]);
+  }
+}
+
+function linesBetween(from, to, least) {
+  const step = STEPS_DEG.find((one) => one * least < to - from) ?? STEPS_DEG.at(-1);
+  const first = Math.ceil(from / step);
+  return Array.from({ length: Math.max(0, Math.floor(to / step) - first + 1) }, (_, k) => (first + k) * step);
+}
+
+const degreesOf = (value, above, below) => `${Number(Math.abs(value).toFixed(2))}° ${value < 0 ? below : above}`;
+
+function addRelief({ id, terrain }) {
   // Leaflet compares tiles with bounds within one turn only.
   const noWrap = terrain[0] < terrain[2];
   const bounds = noWrap ? box(terrain) : undefined;
-  L.tileLayer("relief/{z}/{x}/{y}.png", { bounds, maxZoom: 18, noWrap }).addTo(map);
+  relief = L.tileLayer(`relief/${id}/{z}/{x}/{y}.png`, { bounds, maxZoom: 18, noWrap, zIndex: 0 }).addTo(map);
+}
+
+// On a phone one finger scrolls the page, and two move the map.
+function takeFingers() {
+  map.dragging[isPhone() ? "disable" : "enable"]();
 }
 
 export function start() {
-  makeMap(state.store);
+  makeMap();
+  takeFingers();
+  onPhone(takeFingers);
   makeCamera();
   makeCircle();
   showWhere();
   map.on("zoomend viewreset moveend", showCamera);
+  map.on("moveend resize", showNames);
+  map.on("zoomend", showLegend);
   $("near-here").onclick = () => showCircle(middle());
   $("place-here").onclick = () => placeAt(middle());
   new ResizeObserver(() => map.invalidateSize()).observe($("map"));
-  on("pose", showCamera);
+  showGround(null);
+  on("ground", showGround);
+  on("ground", fetchNames);
+  on("pose", () => {
+    showCamera();
+    showLegend();
+  });
   on("circle", drawCircle);
   for (const name of ["photo", "result", "chosen", "left", "known", "skyline"]) on(name, showCandidates);
   on("photo", showNoted);

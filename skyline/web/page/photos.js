@@ -1,7 +1,7 @@
 // The list of photos, added by dropping or choosing files, each with its state.
 import * as server from "./server.js";
-import { $, alertUser, element, emit, on, report, setPhoto, settle, showStatus, state } from "./state.js";
-import { buttons, forget, resume, showShare, showSkyline, traceFrom } from "./brush.js";
+import { $, alertUser, element, emit, on, report, setGround, setPhoto, settle, showStatus, state } from "./state.js";
+import { buttons, forget, resume, showShare, showSkyline, traceFrom, waits } from "./brush.js";
 import { leave } from "./hand.js";
 import { keptFor, workOn } from "./kept.js";
 import { show } from "./view.js";
@@ -17,6 +17,10 @@ function list() {
   const opening = !state.photo && state.photos.some((photo) => photo.state === "opening");
   $("busy").hidden = !loading && !opening;
   $("welcome").hidden = Boolean(state.photo) || opening;
+  const { width_px, height_px } = state.photo ?? {};
+  const panes = document.querySelector("main");
+  panes.classList.toggle("portrait", height_px > width_px);
+  if (width_px) panes.style.setProperty("--shape", width_px / height_px);
   const kept = keptFor(state.photos);
   $("kept").textContent = kept.length ? `Strokes that are not saved are kept for ${kept.join(", ")}: add the photo again to go on.` : "";
   for (const id of ["tools", "legend"]) $(id).hidden = !state.photo;
@@ -34,10 +38,38 @@ function row(photo) {
   return element("li", {}, pick, ...(photo.state === "opening" ? [] : [remove]));
 }
 
+// Shows what another tab has added, removed, mended or found.
+async function follow() {
+  const before = state.photos.filter((one) => one.id && server.isOpen(one));
+  const records = await server.records().catch(() => null);
+  if (!records) return;
+  const ids = records.map((one) => one.id);
+  for (const photo of before) if (!ids.includes(photo.id)) leaveOut(photo);
+  for (const record of records) {
+    const photo = state.photos.find((one) => one.id === record.id || isGivenAs(one, record));
+    if (!photo) state.photos.push(takenOver({}, record));
+    else if (!waits(photo) && isOther(photo, record) && takenOver(photo, record) === state.photo) await choose(photo);
+  }
+  list();
+  if (!state.photo && state.photos.length) await choose(state.photos[0]);
+}
+
+// Whether a photo of the command, not opened here yet, is this one.
+const isGivenAs = (photo, record) => !photo.id && photo.given !== undefined && photo.name === record.name;
+
+const isOther = (photo, record) => ["strokes", "trace", "result", "projection"].some(
+  (name) => JSON.stringify(photo[name] ?? null) !== JSON.stringify(record[name] ?? null));
+
+function takenOver(photo, record) {
+  const work = { session: server.current(), solved: record.strokes.length, unsaved: Boolean(workOn(record)) };
+  return Object.assign(photo, record, work);
+}
+
 export async function choose(photo) {
   if (["waiting", "opening", ...LOST].includes(photo.state)) return;
   if (!photo.id && !(await open(photo, () => server.openGiven(photo.given)).catch(() => false))) return;
   setPhoto(photo);
+  setGround(photo.ground);
   forget();
   loading = true;
   show(null);
@@ -63,7 +95,7 @@ export async function choose(photo) {
 // page, from before a restart of the server, or what the browser has kept. Without an answer of the
 // server the photo stays as it was, and the error is thrown.
 async function open(photo, opened, failed = "unusable") {
-  const { state: before, content, strokes, trace } = photo;
+  const { state: before, content, strokes, trace, projection } = photo;
   photo.state = "opening";
   list();
   try {
@@ -73,6 +105,10 @@ async function open(photo, opened, failed = "unusable") {
       throw new Error(`${photo.name} has changed; add the photo as it was, or remove it`);
     }
     Object.assign(photo, record, { solved: 0, unsaved: photo.unsaved || Boolean(workOn(record)) });
+    if (projection && projection !== photo.projection) {
+      await server.project(photo, projection);
+      photo.projection = projection;
+    }
     const work = content ? { strokes, trace } : workOn(photo);
     if (work) await resume(photo, work);
   } catch (error) {
@@ -89,12 +125,16 @@ async function open(photo, opened, failed = "unusable") {
 // Opens all photos again, after the server was started again. It has no searches then.
 export async function restore() {
   const about = await server.about();
-  if (JSON.stringify(about) !== JSON.stringify(state.store)) {
+  if (JSON.stringify(about) !== JSON.stringify(state.server)) {
     alertUser("The server was started again with another store or other photos: reload the page.", "store");
   }
+  const there = await server.records();
   for (const photo of state.photos.filter((one) => one.content && one.state !== "missing" && !server.isOpen(one))) {
     const isFound = Boolean(photo.result);
-    if (!(await open(photo, () => sendAgain(photo), "missing")) || photo !== state.photo) continue;
+    // Another tab may have opened it again already.
+    const again = there.find((one) => one.content === photo.content);
+    const opened = () => (again ? { ...again, session: server.current() } : sendAgain(photo));
+    if (!(await open(photo, opened, "missing")) || photo !== state.photo) continue;
     leave();
     showSkyline(await server.skyline(photo, null));
     if (isFound) showStatus("The server was started again: find the place again");
@@ -125,6 +165,7 @@ async function openWaiting() {
     if (photo.state !== "waiting" || !state.photos.includes(photo)) continue;
     if (!(await open(photo, () => server.upload(photo.file)).catch(() => false))) continue;
     state.photos = state.photos.filter((one) => one.state !== "missing" || one.content !== photo.content);
+    server.tellOthers();
     if (first) await choose(photo);
     first = false;
   }
@@ -133,15 +174,21 @@ async function openWaiting() {
 async function drop(photo) {
   if (photo.id && !LOST.includes(photo.state)) await server.remove(photo).catch((error) => report(error, "photo"));
   settle("photo");
+  leaveOut(photo);
+  server.tellOthers();
+  list();
+}
+
+function leaveOut(photo) {
   state.photos = state.photos.filter((one) => one !== photo);
   if (photo === state.photo) {
     setPhoto(null);
+    setGround(state.server.ground);
     loading = false;
     show(null);
     showStatus("");
     emit("photo", null);
   }
-  list();
 }
 
 function dropping() {
@@ -167,25 +214,30 @@ function dropping() {
 // Takes up a photo that the server has; the index is not negative if the command names the photo.
 async function takeUp(photo, given) {
   const work = workOn(photo);
-  Object.assign(photo, { solved: photo.strokes.length, unsaved: Boolean(work) });
+  Object.assign(photo, { session: server.current(), solved: photo.strokes.length, unsaved: Boolean(work) });
   if (given >= 0) photo.given = given;
   // Strokes that were drawn while the server did not answer.
   if (work && work.strokes.length !== photo.strokes.length) await resume(photo, work).catch((error) => report(error, "strokes"));
 }
 
 export async function start(opened) {
-  for (const id of ["choose", "add"]) $(id).onclick = () => $("files").click();
-  $("files").onchange = () => {
-    add($("files").files);
-    $("files").value = "";
-  };
+  for (const [files, buttons] of Object.entries({ files: ["choose", "add"], taken: ["take", "take-more"] })) {
+    for (const id of buttons) $(id).onclick = () => $(files).click();
+    $(files).onchange = () => {
+      add($(files).files);
+      $(files).value = "";
+    };
+  }
   dropping();
   on("states", list);
+  on("elsewhere", follow);
+  on("projected", choose);
+  for (const name of ["result", "mended", "projected"]) on(name, server.tellOthers);
   on("connected", async () => {
     if (state.photo && !state.rows) await choose(state.photo);
     await openWaiting();
   });
-  const { given } = state.store;
+  const { given } = state.server;
   for (const photo of opened) await takeUp(photo, given.indexOf(photo.name));
   const others = given.map((name, index) => ({ name, given: index, state: "ready" }));
   const names = opened.map((photo) => photo.name);

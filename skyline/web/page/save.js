@@ -56,21 +56,22 @@ function download(photo, blob, ending) {
   setTimeout(() => URL.revokeObjectURL(link.href), 10000);
 }
 
-const offered = () => KINDS.filter(([kind]) => kind !== "names" || state.store.peaks);
-
 function show() {
-  for (const [kind] of offered()) $(`save-${kind}`).disabled = !state.photo || !state.pose;
+  for (const [kind] of KINDS) $(`save-${kind}`).disabled = !state.photo || !state.pose;
+  $("save-names").hidden = !state.ground?.peaks;
   $("save-trace").disabled = !state.trace;
   $("load-trace").disabled = !state.photo;
+  const unsaved = state.photos.filter((photo) => photo.unsaved).map((photo) => photo.name);
+  $("unsaved").textContent = unsaved.length ? `Not saved: the mended skyline of ${unsaved.join(", ")}. “Trace” saves it.` : "";
 }
 
 export function start() {
-  for (const [kind, ending, label, about] of offered()) {
+  for (const [kind, ending, label, about] of KINDS) {
     const button = element("button", { id: `save-${kind}`, title: about, onclick: () => save(kind, ending, button) }, label);
     $("save-trace").before(button);
   }
   $("save-trace").onclick = saveTrace;
-  for (const name of ["photo", "pose", "skyline"]) on(name, show);
+  for (const name of ["photo", "pose", "skyline", "ground", "unsaved"]) on(name, show);
   on("photo", () => settle("save"));
   show();
 }

@@ -3,6 +3,7 @@ import { emit, report, settle } from "./state.js";
 
 const MAX_UPLOAD_BYTES = 100e6;
 const KEY = "skyline-session";
+const others = new BroadcastChannel("skyline"); // the page in other tabs
 const GONE = 404;
 const AGAIN_MS = 1500;
 const NO_ANSWER = "The server does not answer; is `skyline serve` still running? The page goes on when it is back, and keeps what you draw.";
@@ -30,6 +31,7 @@ async function ask(method, path, body) {
   throw Object.assign(error, { status: answer.status });
 }
 
+export const current = () => session;
 export const isOpen = (photo) => photo.session === session;
 const inSession = (path) => `session/${session}/${path}`;
 const ofPhoto = (photo, path) => inSession(`photos/${photo.id}${path}`);
@@ -38,7 +40,8 @@ const ofPhoto = (photo, path) => inSession(`photos/${photo.id}${path}`);
 // server there is a new session, and ``restore`` is called to open the photos again.
 export async function begin(restore) {
   restored = restore;
-  session = sessionStorage.getItem(KEY);
+  session = localStorage.getItem(KEY);
+  others.onmessage = ({ data }) => data === session && emit("elsewhere");
   const kept = (session && (await records().catch(() => null))) || (await renew());
   listen();
   return kept;
@@ -47,12 +50,17 @@ export async function begin(restore) {
 async function renew() {
   const begun = await (await ask("POST", "session")).json();
   ({ session } = begun);
-  sessionStorage.setItem(KEY, session);
+  localStorage.setItem(KEY, session);
   return begun.photos;
 }
 
+// Tells the other tabs that photos, strokes or results have changed.
+export const tellOthers = () => others.postMessage(session);
+
 export const records = async () => (await (await ask("GET", `session/${session}`)).json()).photos;
 export const about = async () => (await ask("GET", "state")).json();
+
+export const names = async (ground) => (await ask("GET", `names/${ground.id}`)).json();
 
 export async function upload(file) {
   if (file.size > MAX_UPLOAD_BYTES) {
@@ -79,12 +87,15 @@ const asSkyline = async (photo, answer) => {
     rows: lines.subarray(0, width),
     trust: lines.subarray(width, 2 * width),
     others: lines.subarray(2 * width),
+    lacks: answer.headers.get("Skyline-Lacks"),
     version: answer.headers.get("ETag").replaceAll('"', ""),
   };
 };
 
 export const skyline = async (photo, strokes) =>
   asSkyline(photo, await ask("POST", ofPhoto(photo, "/skyline"), JSON.stringify(strokes ? { strokes } : {})));
+export const project = async (photo, projection) =>
+  asSkyline(photo, await ask("POST", ofPhoto(photo, "/skyline"), JSON.stringify({ projection })));
 export const loadTrace = async (photo, trace) => asSkyline(photo, await ask("POST", ofPhoto(photo, "/trace"), trace));
 export const match = async (photo, known) =>
   (await ask("POST", ofPhoto(photo, "/match"), JSON.stringify(known))).json();
@@ -109,7 +120,10 @@ async function reconnect(isFirst = true) {
   try {
     await records().catch(async (error) => {
       if (error.status !== GONE) throw error;
-      await renew();
+      // Another tab may have begun a session already.
+      const theirs = localStorage.getItem(KEY);
+      if (theirs === session) await renew();
+      else session = theirs;
       isNew = true;
     });
     if (isNew) await restored();

@@ -4,6 +4,7 @@ const OF_PHOTO = {
   rows: null, // Float32Array of the photo's columns: NaN where left out
   trust: null, // Float32Array, 0 to 1
   others: null, // Float32Array, rows of other crests that may be the skyline
+  lacks: null, // why the skyline is too little to be searched, if it is
   version: null, // distinguishes the skyline from others of the same photo
   trace: null, // text of the skyline's file
   chosen: null, // index of the candidate that was chosen, or that the fit led to
@@ -14,7 +15,8 @@ const OF_PHOTO = {
 };
 
 export const state = {
-  store: null, // the server's description of the store
+  server: null, // the server's description of itself
+  ground: null, // the stores in which the photo is searched; null if its area was not made yet
   photos: [], // records in the list's order
   circle: null, // {lon, lat}, the middle of the circle that limits the search
   typing: false, // whether a number of the pose is being typed
@@ -24,6 +26,13 @@ export const state = {
 
 // Another photo is shown, or none: nothing is known of it yet.
 export const setPhoto = (photo) => Object.assign(state, OF_PHOTO, { photo });
+
+// The photo that is shown is searched in other stores, or in none yet.
+export function setGround(ground) {
+  if (ground?.id === state.ground?.id) return;
+  state.ground = ground;
+  emit("ground", ground);
+}
 
 const events = new EventTarget();
 
@@ -46,8 +55,22 @@ export function element(tag, attributes = {}, ...children) {
   return made;
 }
 
-// The widest field of view that a photo may have: above 120 degrees it is a panorama.
-export const widest = (photo) => (photo?.fov_deg > 120 ? 360 : 120);
+const MOST_FOV_DEG = { perspective: 120, fisheye: 180, cylindrical: 360, equirectangular: 360 };
+
+// The widest field of view that the page offers for a photo.
+export const widest = (photo) => MOST_FOV_DEG[photo?.projection] ?? 120;
+
+const PHONE = matchMedia("(max-width: 640px), (max-height: 480px)");
+
+// Whether the page is one column that scrolls, and is worked by finger: as in page.css.
+export const isPhone = () => PHONE.matches && matchMedia("(pointer: coarse)").matches;
+
+export const onPhone = (handler) => PHONE.addEventListener("change", handler);
+
+// Scrolls what is next to be used into view, where the page scrolls.
+export function toView(id) {
+  if (PHONE.matches) $(id).scrollIntoView({ block: "nearest" });
+}
 
 export function showStatus(text) {
   $("status").textContent = text;
