@@ -15,6 +15,7 @@ from skyline.errors import InputError, SkylineError, StoreError
 from skyline.files import is_file, on_disk
 from skyline.geodesy.map_frame import Frame
 from skyline.match.config import MatchConfig
+from skyline.match.contours import weighed_by_contours
 from skyline.match.method import MATCHERS, SearchMethod
 from skyline.match.prior import NOTHING_KNOWN, Narrowing, PlacePrior, Prior
 from skyline.match.rays import Rays
@@ -173,14 +174,14 @@ class Matcher(Releasable):
         verdict = Verdict(too_little(skyline))
         if verdict.refusal is None:
             rays, prior = self._rays_and_prior(skyline, narrowing)
-            poses = self._method.search(rays, prior, top, report_progress)
-            candidates = poses.on_map(self.frame)
+            poses = self._method.search(rays, prior, max(top, TOP), report_progress)
+            candidates = self._weighed(poses.on_map(self.frame), skyline)[:top]
             other = None
             if candidates:
                 other = self._method.other_projection(rays, candidates[0], prior)
             verdict = Verdict.of_search(candidates, other, self._config, skyline, rays)
         return MatchResult(
-            skyline,
+            replace(skyline, shades=None),
             candidates,
             time.perf_counter() - started,
             verdict.refusal,
@@ -188,6 +189,12 @@ class Matcher(Releasable):
             name,
             narrowing=narrowing or Narrowing(),
         )
+
+    def _weighed(self, candidates: tuple[Pose, ...], skyline: PhotoSkyline) -> tuple[Pose, ...]:
+        """Return the candidates with the evidence of what a photo shows below its skyline."""
+        if self.terrain is None or not candidates:
+            return candidates
+        return weighed_by_contours(candidates, skyline, self.terrain, self.header.curvature)
 
     def match_together(
         self,

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skyline.arrays import BoolArray, Float64Array
+from skyline.arrays import BoolArray, Float64Array, UInt8Array
 from skyline.camera import MIN_FOV_DEG, Projection, from_middle
 from skyline.errors import InputError
 from skyline.photo.noted_place import NOTHING_NOTED, NotedPlace
@@ -76,6 +76,9 @@ class PhotoSkyline:
     crests : (3, W) float64, optional
         Rows of up to three crests a column, the likeliest first, NaN where there are fewer. None if
         the skyline was not extracted.
+    shades : (h, w) uint8, optional
+        Grey values of the whole photo, made smaller. None for a trace and a mask, and in results,
+        of which a run may keep thousands.
     """
 
     row_px: Float64Array
@@ -88,6 +91,7 @@ class PhotoSkyline:
     lens: Lens | None = None
     eye_height_m: float | None = None
     crests: Float64Array | None = None
+    shades: UInt8Array | None = None
 
     def __post_init__(self) -> None:
         shapes: dict[str, tuple[int, ...]] = {
