@@ -89,9 +89,9 @@ class _Odds:
 
     slope: float = 1.0
     even: float = 1.5
-    """``slope``, ``even``: a logistic fit to the right poses of 9 photographs of the Sierra Nevada
-    and Columbia Glacier, and to 54 wrong poses of these and of strangers. With it the log loss of
-    the confidence fell from 0.21 to 0.13 for 28 others."""
+    """``slope``, ``even``: a logistic fit to right poses of 9 photographs of the Sierra Nevada,
+    Columbia Glacier and Rofental, and to 54 wrong poses of these and of strangers. With it the log
+    loss of the confidence fell from 0.21 to 0.13 for 28 other matches."""
     most: float = math.log(10.0)
     """Greatest change of the log odds: one photo in ten may be unlike those photographs."""
 
