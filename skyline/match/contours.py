@@ -32,14 +32,14 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from skyline.arrays import BoolArray, Float32Array, Float64Array, IntArray, UInt8Array
+from skyline.arrays import BoolArray, Float32Array, Float64Array, IntArray, Rows, UInt8Array
 from skyline.camera import Projection
 from skyline.geodesy.earth import Curvature
 from skyline.match.solver import TEMPERATURE
 from skyline.photo.skyline import PhotoSkyline
 from skyline.pose import ROUGHLY_WITHIN_M, SAME_VIEW_DEG, Pose
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.ridges import Ridges, ridges_around
+from skyline.terrain.ridges import ridges_around
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +56,9 @@ class _Rules:
     """Greatest change of a ridge's row from profile to profile."""
     linked_ratio: float = 1.25
     """Greatest ratio of its distances there."""
+    least_points: int = 4
+    smooth: float = 1.5
+    """Standard deviation, in profiles, over which a ridge is smoothed along itself."""
     piece_deg: tuple[float, float] = (1.2, 3.0)
     """Least and greatest length of a piece."""
     below_share: float = 0.012
@@ -108,6 +111,19 @@ class _Gradients:
     down: Float32Array
     counts: BoolArray
     """(h, w). Whether a pixel shows ground that counts."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Points(Rows):
+    """N points of ridges in a photo's shades, by azimuth."""
+
+    azimuth: IntArray
+    """(N,). Number of the azimuth."""
+    column: Float64Array
+    row: Float64Array
+    distance_m: Float64Array
+    play_px: Float64Array
+    """(N,). Greatest distance of an edge."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -227,62 +243,64 @@ def _pieces_of(
     height, width = gradients.counts.shape
     scale = width / photo.width_px
     camera = pose.camera(photo)
-    middle_px = np.full(-(-width // _RULES.columns), photo.height_px / 2.0)
-    columns = _in_photo(_RULES.columns * np.arange(len(middle_px)), scale)
-    azimuth_deg, _ = camera.directions(columns, middle_px)
+    columns_px = _in_photo(np.arange(0, width, _RULES.columns), scale)
+    azimuth_deg, _ = camera.directions(columns_px, photo.height_px / 2.0)
     eye_m = pose.easting_m, pose.northing_m, pose.eye_elevation_m
     ridges = ridges_around(terrain, curvature, eye_m, np.radians(azimuth_deg))
-    column_px, row_px = camera.pixels(azimuth_deg[ridges.azimuth], ridges.elevation_tan)
-    column, row = _in_shades(column_px, scale), _in_shades(row_px, scale)
-    px_deg = float(np.median(np.abs(np.diff(azimuth_deg)))) / _RULES.columns
+    at_px = camera.pixels(azimuth_deg[ridges.azimuth], ridges.elevation_tan)
+    column, row = (_in_shades(px, scale) for px in at_px)
+    step_deg = float(np.median(np.abs(np.diff(azimuth_deg))))
     error_deg = np.hypot(_RULES.pose_deg, np.degrees(terrain.height_sd_m / ridges.distance_m))
-    play_px = np.ceil(_RULES.play * error_deg / px_deg)
-    shown = (column > -0.5) & (column < width - 0.5) & (row > -0.5) & (row < height - 0.5)
-    shown &= play_px <= _RULES.most_play_px
-    at = np.rint(np.where(shown, [row, column], 0.0)).astype(np.intp)
-    shown &= gradients.counts[at[0], at[1]]
-    ridges = Ridges(*(one[shown] for one in (ridges.azimuth, row, ridges.distance_m)))
-    return _cut(ridges, column[shown], play_px[shown], px_deg * _RULES.columns)
+    play_px = np.ceil(_RULES.play * error_deg * _RULES.columns / step_deg)
+    points = _Points(ridges.azimuth, column, row, ridges.distance_m, play_px)
+    points = points[
+        (np.abs(column - (width - 1) / 2.0) < width / 2.0)
+        & (np.abs(row - (height - 1) / 2.0) < height / 2.0)
+        & (play_px <= _RULES.most_play_px)
+    ]
+    at = (np.rint(px).astype(np.intp) for px in (points.row, points.column))
+    return _cut(points[gradients.counts[*at]], step_deg)
 
 
-def _cut(ridges: Ridges, column: Float64Array, play_px: Float64Array, step_deg: float) -> _Pieces:
-    """Return the pieces of ridges whose elevations are rows in the shades."""
+def _cut(points: _Points, step_deg: float) -> _Pieces:
+    """Return the pieces of ridges along azimuths that are a step apart."""
     from scipy.ndimage import gaussian_filter1d  # noqa: PLC0415  (slow to load)
 
     least, most = (length / step_deg for length in _RULES.piece_deg)
     parts = [np.zeros((4, 0))]
-    for path in _paths(ridges):
-        if len(path) < max(least, 4.0):
+    for path in _paths(points):
+        if len(path) < max(least, _RULES.least_points):
             continue
-        x, y = (
-            gaussian_filter1d(one[path], 1.5, mode="nearest")
-            for one in (column, ridges.elevation_tan)
+        along = points[path]
+        column, row = (
+            gaussian_filter1d(px, _RULES.smooth, mode="nearest") for px in (along.column, along.row)
         )
-        slope_rad = np.arctan2(np.gradient(y), np.gradient(x))
-        found = np.stack([x, y, slope_rad, play_px[path]])
-        parts += np.array_split(found, max(1, round(len(path) / most)), axis=1)
+        slope_rad = np.arctan2(np.gradient(row), np.gradient(column))
+        whole = np.stack([column, row, slope_rad, along.play_px])
+        parts += np.array_split(whole, max(1, round(len(path) / most)), axis=1)
     lengths = [part.shape[1] for part in parts[1:]]
-    play = [math.ceil(np.median(part[3])) for part in parts[1:]]
+    play_px = [math.ceil(np.median(part[3])) for part in parts[1:]]
     begin = np.cumsum([0, *lengths])[:-1]
     column, row, slope_rad, _ = np.concatenate(parts, axis=1)
-    return _Pieces(column, row, slope_rad, begin, np.array(play, dtype=np.intp))
+    return _Pieces(column, row, slope_rad, begin, np.array(play_px, dtype=np.intp))
 
 
-def _paths(ridges: Ridges) -> list[IntArray]:
+def _paths(points: _Points) -> list[IntArray]:
     """Return the points of each ridge from left to right.
 
     Two points of neighbouring azimuths are linked if each is the nearest to the other.
     """
-    starts = np.searchsorted(ridges.azimuth, np.arange(ridges.azimuth.max(initial=0) + 2))
-    row, log_m = ridges.elevation_tan, np.log(ridges.distance_m)
-    path_of = np.arange(len(row))
+    starts = np.searchsorted(points.azimuth, np.arange(points.azimuth.max(initial=0) + 2))
+    log_m = np.log(points.distance_m)
+    path_of = np.arange(len(points))
     for left, middle, right in zip(starts[:-2], starts[1:-1], starts[2:], strict=True):
         if not left < middle < right:
             continue
-        apart = np.abs(row[middle:right] - row[left:middle, np.newaxis])
+        apart = np.abs(points.row[middle:right] - points.row[left:middle, np.newaxis])
         farther = np.abs(log_m[middle:right] - log_m[left:middle, np.newaxis])
         apart[farther > math.log(_RULES.linked_ratio)] = np.inf
-        after, before = apart.argmin(axis=1), apart.argmin(axis=0)
+        after = apart.argmin(axis=1)
+        before = apart.argmin(axis=0)
         is_mutual = before[after] == np.arange(middle - left)
         one = np.flatnonzero(is_mutual & (apart.min(axis=1) <= _RULES.linked_px))
         path_of[middle + after[one]] = path_of[left + one]
