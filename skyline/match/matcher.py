@@ -286,7 +286,7 @@ class Matcher(Releasable):
         for (name, skyline), narrowing in zip(named, narrowings, strict=True):
             refusal = too_little(skyline)
             known = None if refusal else self._rays_and_prior(skyline, narrowing)
-            read.append(_Photo(name, skyline, refusal, known))
+            read.append(_Photo(name, replace(skyline, shades=None), refusal, known))
         return read
 
     def _found_together(

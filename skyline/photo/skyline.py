@@ -77,8 +77,8 @@ class PhotoSkyline:
         Rows of up to three crests a column, the likeliest first, NaN where there are fewer. None if
         the skyline was not extracted.
     shades : (h, w) uint8, optional
-        Grey values of the whole photo, made smaller. None for a trace and a mask, and in results,
-        of which a run may keep thousands.
+        Grey values of the whole photo, made smaller. None for a trace and a mask, and in the result
+        of a search, since a run may keep thousands.
     """
 
     row_px: Float64Array

@@ -71,6 +71,17 @@ def test_separators_may_stand_between_the_notes_of_a_trace(tmp_path, comma):
     assert (skyline.width_px, skyline.height_px) == (50, 40)
 
 
+def test_a_photo_has_its_grey_values_made_smaller_and_a_mask_has_none(tmp_path):
+    image = np.full((400, 1600, 3), 240, np.uint8)
+    image[200:] = (60, 80, 100)
+    Image.fromarray(image).save(tmp_path / "photo.png")
+    shades = read_skyline(tmp_path / "photo.png").shades
+    assert (shades.shape, shades.dtype) == ((200, 800), np.uint8)
+    assert_array_equal(np.unique(shades[101:]), [76])  # 0.299 R + 0.587 G + 0.114 B
+    Image.fromarray(np.where(image > 100, 255, 0).astype(np.uint8)).save(tmp_path / "mask.png")
+    assert read_skyline(tmp_path / "mask.png").shades is None
+
+
 def test_unwritable_place_is_named_and_nothing_is_left(tmp_path):
     skyline = skyline_of([1.0, 2.0])
     with pytest.raises(InputError):
