@@ -17,6 +17,7 @@ from skyline.errors import InputError, SkylineError, StoreError
 from skyline.files import is_file, on_disk
 from skyline.geodesy.map_frame import Frame
 from skyline.match.config import MatchConfig
+from skyline.match.contours import weighed_by_contours
 from skyline.match.method import MATCHERS, SearchMethod
 from skyline.match.prior import NOTHING_KNOWN, Narrowing, PlacePrior, Prior
 from skyline.match.rays import Rays
@@ -190,14 +191,14 @@ class Matcher(Closeable):
         verdict = Verdict(too_little(skyline))
         if verdict.refusal is None:
             rays, prior = self._rays_and_prior(skyline, narrowing)
-            poses = self._method.search(rays, prior, top, report_progress)
-            candidates = poses.on_map(self.frame)
+            poses = self._method.search(rays, prior, max(top, TOP), report_progress)
+            candidates = self._weighed(poses.on_map(self.frame), skyline)[:top]
             other = None
             if candidates:
                 other = self._method.other_projection(rays, candidates[0], prior)
             verdict = Verdict.of_search(candidates, other, self._config, skyline, rays)
         return MatchResult(
-            skyline,
+            replace(skyline, shades=None),
             candidates,
             time.perf_counter() - started,
             verdict.refusal,
@@ -205,6 +206,12 @@ class Matcher(Closeable):
             name,
             narrowing=narrowing or Narrowing(),
         )
+
+    def _weighed(self, candidates: tuple[Pose, ...], skyline: PhotoSkyline) -> tuple[Pose, ...]:
+        """Return the candidates with the evidence of what a photo shows below its skyline."""
+        if self.terrain is None or not candidates:
+            return candidates
+        return weighed_by_contours(candidates, skyline, self.terrain, self.header.curvature)
 
     def match_together(
         self,
@@ -296,7 +303,7 @@ class Matcher(Closeable):
         for (name, skyline), narrowing in zip(named, narrowings, strict=True):
             refusal = too_little(skyline)
             known = None if refusal else self._rays_and_prior(skyline, narrowing)
-            read.append(_Photo(name, skyline, refusal, known))
+            read.append(_Photo(name, replace(skyline, shades=None), refusal, known))
         return read
 
     def _found_together(

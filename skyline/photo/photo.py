@@ -18,6 +18,10 @@ from skyline.photo.skyline import Lens, PhotoSkyline
 from skyline.photo.xmp import xmp_of
 from skyline.tables import is_table
 
+_SHADES_PX = 800
+"""Longer side of a photo's shades: a pixel of 0.07 degrees is 10 m at 8 km, about the error of the
+heights of ridges there."""
+
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Photo(ShortRepr):
@@ -54,14 +58,24 @@ class Photo(ShortRepr):
         return self.described(PhotoSkyline(unknown, np.zeros(width), width, height))
 
     def described(self, skyline: PhotoSkyline) -> PhotoSkyline:
-        """Return a skyline of this photo with the file's notes."""
+        """Return a skyline of this photo with the file's notes and its shades."""
         return replace(
             skyline,
             fov_deg=self.fov_deg,
             projection=self.projection,
             noted=self.noted,
             lens=self.lens,
+            shades=shades_of(self.rgb),
         )
+
+
+def shades_of(rgb: UInt8Array) -> UInt8Array:
+    """Return the grey values (h, w) of a photo (H, W, 3), see `PhotoSkyline.shades`."""
+    height, width = rgb.shape[:2]
+    scale = min(1.0, _SHADES_PX / max(height, width))
+    size = max(1, round(width * scale)), max(1, round(height * scale))
+    grey = Image.fromarray(rgb).convert("L").resize(size, Image.Resampling.BOX)
+    return np.asarray(grey, dtype=np.uint8)
 
 
 def read_photo(

@@ -1,6 +1,7 @@
 """The skyline of a photo, a sky mask or a trace."""
 
 import logging
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -92,8 +93,8 @@ def find_skyline(photo: Photo, sky_model: Any = None) -> PhotoSkyline:
         )
     try:
         if is_sky_mask(photo.rgb):
-            skyline = skyline_of_mask(photo.rgb)
-        elif sky_model is None:
+            return replace(photo.described(skyline_of_mask(photo.rgb)), shades=None)
+        if sky_model is None:
             skyline = extract_skyline(photo.rgb)
         else:
             skyline = model_skyline(photo.rgb, sky_model)

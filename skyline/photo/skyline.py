@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skyline.arrays import BoolArray, Float64Array, refuse_text
+from skyline.arrays import BoolArray, Float64Array, UInt8Array, refuse_text
 from skyline.camera import MIN_FOV_DEG, Projection, from_middle
 from skyline.errors import InputError
 from skyline.photo.noted_place import NOTHING_NOTED, NotedPlace
@@ -78,6 +78,9 @@ class PhotoSkyline:
     crests : (3, W) float64, optional
         Rows of up to three crests a column, the likeliest first, NaN where there are fewer. None if
         the skyline was not extracted.
+    shades : (h, w) uint8, optional
+        Grey values of the whole photo, made smaller. None for a trace and a mask, and in the result
+        of a search, since a run may keep thousands.
     """
 
     row_px: Float64Array
@@ -90,6 +93,7 @@ class PhotoSkyline:
     lens: Lens | None = None
     eye_height_m: float | None = None
     crests: Float64Array | None = None
+    shades: UInt8Array | None = None
 
     def __post_init__(self) -> None:
         refuse_text(width_px=self.width_px, height_px=self.height_px, fov_deg=self.fov_deg)

@@ -10,6 +10,7 @@ from PIL import Image
 from skyline import batch
 from skyline.errors import InputError
 from skyline.photo.overlay import write_overlay
+from skyline.photo.photo import read_photo
 from skyline.photo.read import read_skyline
 from skyline.photo.skyline import PhotoSkyline
 from skyline.photo.trace import read_trace, write_trace
@@ -69,6 +70,17 @@ def test_separators_may_stand_between_the_notes_of_a_trace(tmp_path, comma):
     path.write_text(text.replace(",", comma))
     skyline = read_trace(path)
     assert (skyline.width_px, skyline.height_px) == (50, 40)
+
+
+def test_a_photo_has_its_grey_values_made_smaller_and_a_mask_has_none(tmp_path):
+    image = np.full((400, 1600, 3), 240, np.uint8)
+    image[200:] = (60, 80, 100)
+    Image.fromarray(image).save(tmp_path / "photo.png")
+    shades = read_photo(tmp_path / "photo.png").blank.shades
+    assert (shades.shape, shades.dtype) == ((200, 800), np.uint8)
+    assert_array_equal(np.unique(shades[101:]), [76])  # 0.299 R + 0.587 G + 0.114 B
+    Image.fromarray(np.where(image > 100, 255, 0).astype(np.uint8)).save(tmp_path / "mask.png")
+    assert read_skyline(tmp_path / "mask.png").shades is None
 
 
 def test_unwritable_place_is_named_and_nothing_is_left(tmp_path):
