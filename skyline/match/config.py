@@ -30,7 +30,7 @@ class MatchConfig:
 
     refine: bool = True
     min_confidence: float = 0.8
-    fov_sd_share: float = 0.025
+    fov_sd_share: float = 0.02
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.min_confidence <= 1.0:

@@ -28,7 +28,7 @@ def test_the_lens_in_the_exif_is_weighed(run, store, photo, tmp_path, monkeypatc
     assert "cropped" in bounded["reason"]
     assert unknown["fov_deg"] is None
     said = run("match", store, cropped, lie, "--matcher", "unrefined").out
-    assert "field of view: 53.7 degrees, give or take 12; EXIF's 35 mm equivalent alone," in said
+    assert "field of view: 53.7 degrees, give or take 10; EXIF's 35 mm equivalent alone," in said
     assert "field of view: not known; EXIF's 35 mm equivalent alone left aside: 0.21" in said
 
 
