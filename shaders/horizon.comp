@@ -28,6 +28,7 @@ struct Eye {
     vec2 offset_low;   // what float32 left of it
     vec2 elevation_m;  // high and low part
     vec2 turn_tan;     // tangent of the angle by which all columns are turned clockwise, in two parts
+    ivec2 row;         // of the results; the second number only fills the room
 };
 
 layout(std430, binding = 0) readonly buffer Eyes { Eye eyes[]; };
@@ -56,7 +57,6 @@ uniform sampler2D aims;           // by column: u, high and low part
 uniform int width;
 uniform int run;                  // columns a lane takes
 uniform int first_eye;
-uniform int first_row;            // of the results, the first eye's
 
 const float HOLE_M = -3e38;
 const float NOTHING = -1e30;
@@ -419,7 +419,7 @@ void main() {
     int index = first_eye + group / groups;
     int first = (group % groups) * LANES * run + int(gl_LocalInvocationID.x);
     face(eyes[index]);
-    int row = first_row + index;
+    int row = eyes[index].row.x;
     int winner = NO_STRIP;
     for (int i = 0; i < run; ++i) {
         int q = first + i * LANES;

@@ -26,7 +26,11 @@ MAX_WIDTH = 16384
 FLAG_TRUNCATED = 1
 """The skyline lies on the border of the data, or past it; see `raised_to_dip`."""
 FLAG_HOLE = 2
-"""The column passes over a hole with data behind it."""
+"""The column passes over a hole with data behind it.
+
+A terrain that is rendered in several windows is not searched for holes where it is too low to be
+seen.
+"""
 FLAG_NO_DATA = 4
 """The column meets no data; its values are NaN."""
 FLAG_OUT_OF_IMAGE = 8

@@ -6,7 +6,7 @@ only v, depth and flags of W columns a view come back.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -14,7 +14,7 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from skyline.arrays import BoolArray, Float32Array, Float64Array, UInt8Array
+from skyline.arrays import BoolArray, Float32Array, Float64Array, IntArray, UInt8Array
 from skyline.errors import ContextError, InputError
 from skyline.geodesy.earth import Curvature
 from skyline.render.context import Renderer, compile_shaders
@@ -41,20 +41,23 @@ _EYE_DTYPE = np.dtype(
         ("offset_low", "<f4", 2),
         ("elevation_m", "<f4", 2),
         ("turn_tan", "<f4", 2),
+        ("row", "<i4", 2),
     ]
 )
 """The layout of struct Eye in `horizon.comp`; ``nearest`` is relative to the window.
 
 ``turn_tan`` is the tangent of an angle by which all of an eye's columns are turned clockwise; none
-may leave the view of 90 degrees.
+may leave the view of 90 degrees. The first value of ``row`` is the eye's row in the results.
 """
+_TOUCHED_U = 1e-5
+"""A ray this close to a window, in u, counts as one that meets it: more than any rounding."""
 
 
 @dataclass(frozen=True, slots=True)
 class EyeGroup:
     """Eyes that one march takes together."""
 
-    rows: slice
+    rows: IntArray
     """Their rows in sorted order."""
     heading: int
     """The heading that all of them face."""
@@ -90,13 +93,12 @@ class Eyes:
     def __len__(self) -> int:
         return len(self._order)
 
-    def groups(self) -> Iterator[EyeGroup]:
-        """Yield the eyes of each heading and precision that occurs."""
+    def groups(self, seen: BoolArray) -> Iterator[EyeGroup]:
+        """Yield the marked eyes (N,) of each heading and precision that occurs."""
         kind = 2 * self._heading.astype(np.int64) + self._is_double
-        for value in np.unique(kind):
-            rows = np.flatnonzero(kind == value)
-            span = slice(int(rows[0]), int(rows[-1]) + 1)
-            yield EyeGroup(span, heading=int(value) // 2, is_double=bool(value % 2))
+        for value in np.unique(kind[seen]):
+            rows = np.flatnonzero(seen & (kind == value))
+            yield EyeGroup(rows, heading=int(value) // 2, is_double=bool(value % 2))
 
     def in_order(self, values: NDArray[_Scalar]) -> NDArray[_Scalar]:
         """Put (N, ...) results of sorted views back into the order given."""
@@ -110,43 +112,54 @@ class Eyes:
         eyes["offset"], eyes["offset_low"] = split_float(self._position - nearest)
         eyes["elevation_m"] = np.stack(split_float(self._elevation_m), axis=-1)
         eyes["turn_tan"] = np.stack(split_float(self._turn_tan), axis=-1)
+        eyes["row"][:, 0] = np.arange(len(self))
         return eyes
 
-    def nearest_first(self, windows: list[Window]) -> list[Window]:
-        """Sort windows by their distance from the eyes' middle."""
-        if not len(self) or len(windows) == 1:
-            return windows
-        middle = np.median(self._position, axis=0)
-        return sorted(windows, key=lambda window: float(np.hypot(*self._gap_m(window, middle))))
+    def nearest_of(self, windows: Sequence[Window]) -> IntArray:
+        """Return the index (N,) of the window in which each eye stands, or of the nearest one."""
+        gap_m = np.stack([np.hypot(*self._gap_m(one, self._position).T) for one in windows])
+        return np.asarray(gap_m.argmin(axis=0))
 
-    def greatest_tan(self, window: Window, highest_m: float, drop_per_m2: float) -> Float64Array:
-        """Return an upper bound (N,) of v over a window.
+    def may_rise_to(
+        self, v: Float32Array, u: Float64Array, window: Window, highest_m: float, drop_per_m2: float
+    ) -> BoolArray:
+        """Return which of the eyes (N,) may see a window above skylines v (N, W).
 
-        The window's heights are at most ``highest_m``. The eyes are in sorted order; -inf where the
-        window lies outside the view.
+        The window's heights are at most ``highest_m``. ``u`` (W,) are the columns' abscissas before
+        the eyes are turned.
         """
-        corners = np.array(
-            [[row, col] for row in (0, window.rows - 1) for col in (0, window.cols - 1)],
-            dtype=np.float64,
-        )
-        offset = np.array([window.row, window.col]) + corners - self._position[:, np.newaxis]
-        south, east = np.moveaxis(offset * self._spacing_m, -1, 0)
-        turn = np.stack([rotation(heading)[[0, 2]][:, [0, 2]] for heading in HEADINGS])
-        ground = np.stack([east, -south], axis=-1)
-        camera = np.einsum("ncg,nkg->nkc", ground, turn[self._heading])
-        right = camera[:, 0]
-        forward = camera[:, 1]
-        one_side = np.sign(right).min(axis=1) == np.sign(right).max(axis=1)
-        aside = np.where(one_side, np.abs(right).min(axis=1), 0.0)
+        right, ahead = self._across_and_ahead(window)
         # In a wedge of 90 degrees the depth is at least the distance over the root of 2.
         gap_m = self._gap_m(window, self._position)
-        nearest = np.maximum(forward.min(axis=1), np.hypot(*gap_m.T) / np.sqrt(2.0))
-        farthest = forward.max(axis=1)
+        nearest = np.maximum(ahead[0], np.hypot(*gap_m.T) / np.sqrt(2.0))
         drop_m = drop_per_m2 * (gap_m[:, 0] ** 2 + gap_m[:, 1] ** 2)
         # A metre covers all rounding.
         up_m = highest_m - self._elevation_m + 1.0 - drop_m
-        bound = up_m / np.maximum(np.where(up_m > 0.0, nearest, farthest), 1e-3)
-        return np.where(farthest < aside, -np.inf, bound)
+        bound = up_m / np.maximum(np.where(up_m > 0.0, nearest, ahead[1]), 1e-3)
+        # The abscissas between which the window lies, a rectangle whose sides face the camera.
+        close, far = np.maximum(ahead, 1e-3)
+        first_u = right[0] / np.where(right[0] > 0.0, far, close)
+        last_u = right[1] / np.where(right[1] > 0.0, close, far)
+        turn = self._turn_tan[:, np.newaxis]
+        aim = (u + turn) / (1.0 - u * turn)
+        faces = (aim > first_u[:, np.newaxis] - _TOUCHED_U) & (
+            aim < last_u[:, np.newaxis] + _TOUCHED_U
+        )
+        is_lower = v < bound[:, np.newaxis]
+        return np.asarray((ahead[1] > 0.0) & (faces & is_lower).any(axis=1))
+
+    def _across_and_ahead(self, window: Window) -> tuple[Float64Array, Float64Array]:
+        """Return a window's extent to the right of the eyes and ahead of them, metres.
+
+        Each has the least (N,) and the greatest distance (N,), of either sign.
+        """
+        first = np.array([window.row, window.col])
+        edges = np.stack([first, first + np.array([window.rows, window.cols]) - 1])
+        south, east = np.moveaxis((edges[:, np.newaxis] - self._position) * self._spacing_m, -1, 0)
+        turn = np.stack([rotation(heading)[::2, ::2] for heading in HEADINGS])[self._heading]
+        ground = np.stack([east, -south], axis=-1)
+        right, ahead = np.moveaxis(np.einsum("ngk,enk->eng", turn, ground), -1, 0)
+        return np.sort(right, axis=0), np.sort(ahead, axis=0)
 
     def _gap_m(self, window: Window, position: Float64Array) -> Float64Array:
         """Return how far positions (..., 2) lie from a window, north-south and east-west."""
@@ -279,12 +292,16 @@ class ColumnRenderer(Renderer):
     def _batch(self, viewpoints: Viewpoints, heading: UInt8Array, turn_rad: Float64Array) -> Views:
         eyes = Eyes(self.field, viewpoints, heading, self._near_error_tan, turn_rad)
         self._reserve(len(eyes))
-        for index, window in enumerate(eyes.nearest_first(self._windows)):
-            if index == 0 or self._may_rise(window, eyes):
-                textures = self._load(window)
-                placed = eyes.relative_to(window)
-                for group in eyes.groups():
-                    self._march(textures, placed[group.rows], group, is_first=index == 0)
+        home = eyes.nearest_of(self._windows)
+        for index in np.unique(home):
+            self._march(self._windows[index], eyes, home == index, is_first=True)
+        # In a fixed order, so that a view is the same in any batch, its marks of holes included.
+        for index, window in enumerate(self._windows):
+            seen = (home != index) & self._may_rise(window, eyes)
+            if seen.any():
+                # The field may know no more than a bound of its heights; the window knows them.
+                self._load(window)
+                self._march(window, eyes, seen & self._may_rise(window, eyes), is_first=False)
         tan, depth, flags = (
             eyes.in_order(self._read(index, len(eyes), kind))
             for index, kind in enumerate(("<f4", "<f4", "<u4"))
@@ -323,16 +340,18 @@ class ColumnRenderer(Renderer):
         data = self._results[index].read()[: 4 * rows * self.width]
         return np.frombuffer(data, kind).reshape(rows, self.width)
 
-    def _may_rise(self, window: Window, eyes: Eyes) -> bool:
-        """Return whether a window can raise any skyline found so far."""
-        rows = slice(window.row, window.row + window.rows)
-        cols = slice(window.col, window.col + window.cols)
-        highest_m = self.field.highest_m(rows, cols)
+    def _may_rise(self, window: Window, eyes: Eyes) -> BoolArray:
+        """Return of which eyes (N,) a window may raise the skylines found so far."""
+        if window in self._resident:
+            highest_m = self._resident[window].highest_m
+        else:
+            rows = slice(window.row, window.row + window.rows)
+            cols = slice(window.col, window.col + window.cols)
+            highest_m = self.field.highest_m(rows, cols)
         if highest_m == -np.inf:
-            return False
-        least = self._read(0, len(eyes), "<f4").min(axis=1)
-        bound = eyes.greatest_tan(window, highest_m, self.curvature.drop_per_m2)
-        return bool((bound > least).any())
+            return np.zeros(len(eyes), dtype=bool)
+        v = self._read(0, len(eyes), "<f4")
+        return eyes.may_rise_to(v, self._u, window, highest_m, self.curvature.drop_per_m2)
 
     def _load(self, window: Window) -> WindowTextures:
         """Return a window's textures.
@@ -355,14 +374,20 @@ class ColumnRenderer(Renderer):
             del self._resident[oldest]
         self._ctx.gc()
 
-    def _march(
+    def _march(self, window: Window, eyes: Eyes, seen: BoolArray, *, is_first: bool) -> None:
+        """March over a window from the marked eyes (N,).
+
+        ``is_first`` is whether no march has written the results of these eyes before.
+        """
+        textures = self._load(window)
+        placed = eyes.relative_to(window)
+        for group in eyes.groups(seen):
+            self._march_group(textures, placed[group.rows], group, is_first)
+
+    def _march_group(
         self, window: WindowTextures, eyes: NDArray[np.void], group: EyeGroup, is_first: bool
     ) -> None:
-        """March over a window from a group's eyes.
-
-        The eyes are as the shader reads them. ``is_first`` is whether no march has written these
-        rows of the results before.
-        """
+        """March over a window from a group's eyes, which are as the shader reads them."""
         slope_max = window.slope_max[group.heading % 2]
         # No ray is as steep as slope_max, so at equal spacings it crosses at most two cells.
         steepest = 1.0 if eyes["turn_tan"].any() else self._widest_u
@@ -376,7 +401,6 @@ class ColumnRenderer(Renderer):
         columns_a_lane = self._columns_a_lane(len(eyes))
         uniforms = self._uniforms(window, eyes, group.heading)
         uniforms["run"] = columns_a_lane
-        uniforms["first_row"] = group.rows.start
         for unit, (name, texture) in enumerate(self._textures(window, group.heading).items()):
             texture.use(unit)
             uniforms[name] = unit
