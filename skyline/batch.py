@@ -81,7 +81,9 @@ class Entry:
         if photo.fov_deg is None or self.fov_sd_share is None:
             return photo
         lens = photo.lens if self.fov_deg is None and photo.lens else Lens(photo.fov_deg)
-        return replace(photo, lens=replace(lens, fov_sd_deg=self.fov_sd_share * photo.fov_deg))
+        return replace(
+            photo, lens=replace(lens, fov_sd_deg=self.fov_sd_share * photo.fov_deg, crop_share=0.0)
+        )
 
 
 def entries_of(paths: Iterable[Path], common: Entry) -> Iterator[Entry]:

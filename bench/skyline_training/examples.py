@@ -28,7 +28,7 @@ from skyline.match import confidence
 from skyline.match.prior import GPS_SD_M, NOTHING_KNOWN, PlacePrior, Prior
 from skyline.match.search import FullMatcher
 from skyline.photo.extract import extract_skyline
-from skyline.photo.noted_fov import ALONE_SD
+from skyline.photo.noted_fov import CROP_SHARES, NOMINAL_SD
 from skyline.photo.skyline import Lens
 from skyline.pose import SAME_VIEW_DEG, Poses
 from skyline.render.depth import DepthRenderer
@@ -337,11 +337,18 @@ def with_lenses(queries: Iterable[SyntheticQuery], seed: int) -> list[SyntheticQ
 def _noted_alone(fov_deg: float, rng: np.random.Generator) -> Lens:
     """Return the lens of a photo with one value in EXIF.
 
-    The value notes the true field of view, with an error.
+    The value notes the true field of view with an error, or that of a photo which was cropped to
+    what is true.
     """
-    tangent = math.tan(math.radians(fov_deg) / 2.0) * math.exp(ALONE_SD * rng.standard_normal())
+    tangent = math.tan(math.radians(fov_deg) / 2.0) * math.exp(NOMINAL_SD * rng.standard_normal())
+    if rng.uniform() < CROP_SHARES.resized:
+        tangent /= rng.uniform(*CROP_SHARES.left)
     noted_rad = 2.0 * math.atan(tangent)
-    return Lens(math.degrees(noted_rad), math.degrees(ALONE_SD * math.sin(noted_rad)))
+    return Lens(
+        math.degrees(noted_rad),
+        math.degrees(NOMINAL_SD * math.sin(noted_rad)),
+        crop_share=CROP_SHARES.resized,
+    )
 
 
 def read_examples(path: Path) -> Examples:

@@ -177,7 +177,7 @@ def pose_figures(poses: Poses, rays: Rays) -> dict[str, Float64Array]:
     """
     fits = poses.figures()
     trace_m2 = np.trace(fits.covariance_m2, axis1=1, axis2=2)
-    lens_off = np.abs(rays.log_scale(poses.fov_deg)) / rays.log_scale_sd
+    lens_off = rays.lens.deviations(rays.log_scale(poses.fov_deg))
     figures = {
         "log_residual": np.log(np.maximum(fits.residual_deg, 1e-3)),
         "inlier_share": fits.terrain_share,
@@ -314,7 +314,7 @@ def _photo_figures(rays: Rays, count: int) -> dict[str, Float64Array]:
     return {
         "log_relief": np.full(count, np.log(max(np.degrees(relief), 1e-2))),
         "log_visible": np.full(count, np.log(np.clip(visible_deg, 1.0, _LIMITS.max_visible_deg))),
-        "log_lens_sd": np.full(count, np.log(np.clip(rays.log_scale_sd, *_LIMITS.log_scale_sd))),
+        "log_lens_sd": np.full(count, np.log(np.clip(rays.lens.sd, *_LIMITS.log_scale_sd))),
     }
 
 

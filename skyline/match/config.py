@@ -31,7 +31,7 @@ class MatchConfig:
 
     refine: bool = True
     min_confidence: float = 0.8
-    fov_sd_share: float = 0.025
+    fov_sd_share: float = 0.02
 
     def __post_init__(self) -> None:
         refuse_text(min_confidence=self.min_confidence, fov_sd_share=self.fov_sd_share)

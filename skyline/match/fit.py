@@ -208,12 +208,14 @@ class CurveFit:
         return np.asarray(np.radians(_ERRORS.photo_deg) * scale)
 
     def _inverse_variances(self) -> Float32Array:
-        """Return the prior inverse variances (M, P) of states."""
+        """Return the prior inverse variances (M, P) of states.
+
+        The lens has none here, since its own depends on the state.
+        """
         columns = _WANDER + self._wander.shape[1]
         prior = np.zeros((len(self._places), columns), dtype=np.float32)
         prior[:, _PITCH] = np.radians(_ERRORS.pitch_sd_deg) ** -2.0
         prior[:, _ROLL] = np.radians(_ERRORS.roll_sd_deg) ** -2.0
-        prior[:, _LOG_SCALE] = self._rays.log_scale_sd**-2.0
         prior[:, _MOVE] = self._deviation_m**-2.0
         if self._rays.is_panorama:
             prior[:, _WANDER:] = self._rays.warp_sd**-2.0
@@ -223,9 +225,11 @@ class CurveFit:
         """Return the damped Gauss-Newton step (M, P) that is subtracted from states."""
         weighted = misses.change * weight[:, np.newaxis]
         normal = weighted @ misses.change.transpose(0, 2, 1)
-        gradient = (weighted @ misses.tangent[:, :, np.newaxis])[:, :, 0] + self._prior * state
+        prior = self._prior.copy()
+        prior[:, _LOG_SCALE] = self._rays.lens.precision(state[:, _LOG_SCALE])
+        gradient = (weighted @ misses.tangent[:, :, np.newaxis])[:, :, 0] + prior * state
         diagonal = np.einsum("mkk->mk", normal)
-        diagonal += self._prior
+        diagonal += prior
         diagonal += _DAMPING * (diagonal + 1.0)
         return np.asarray(np.linalg.solve(normal, gradient[:, :, np.newaxis])[:, :, 0])
 
@@ -245,6 +249,7 @@ class CurveFit:
         error = self._photo_error(state)
         off = np.minimum(np.abs(misses.tangent) / error[:, np.newaxis], np.float32(_ERRORS.most))
         off = np.where(misses.known, off, np.float32(_ERRORS.unknown))
-        unlikely = 0.5 * (np.square(state) * self._prior).sum(axis=1) / self._effort.runs
+        unlikely = 0.5 * (np.square(state) * self._prior).sum(axis=1)
+        unlikely = (unlikely + self._rays.lens.cost(state[:, _LOG_SCALE])) / self._effort.runs
         mean = (off * self._rays.weight.astype(np.float32)).mean(axis=1)
         return np.asarray(mean + unlikely, dtype=np.float32)

@@ -25,6 +25,7 @@ import numpy as np
 
 from skyline.arrays import Float64Array
 from skyline.camera import MAX_FISHEYE_DEG, MAX_PANORAMA_DEG, Projection
+from skyline.match.lens_prior import LensPrior
 from skyline.match.rays import Rays, in_runs, usual_distortion
 from skyline.match.refine import Refinement
 from skyline.match.solver import LOG_SCALE, ROUGH, TEMPERATURE, WARP, Fit
@@ -152,7 +153,7 @@ def _columns(rays: Rays, fov_deg: float) -> Rays:
     """Return rays for a field of view, averaged over equal columns."""
     step_rad = 2.0 * np.pi / ROUGH.bins
     count = int(_BENT.columns_per_bin * math.sin(math.radians(fov_deg)) / step_rad)
-    return replace(in_runs(rays.with_fov(fov_deg), max(count, 1)), fov_sd_deg=math.inf)
+    return replace(in_runs(rays.with_fov(fov_deg), max(count, 1)), lens=LensPrior())
 
 
 def _panorama(columns: Rays) -> Rays:

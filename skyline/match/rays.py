@@ -8,6 +8,7 @@ import numpy as np
 from skyline.arrays import Float64Array, IntArray
 from skyline.camera import WANDER_DEGREES, ImagePoints, Projection, level
 from skyline.errors import InputError
+from skyline.match.lens_prior import LensPrior
 from skyline.photo.skyline import Lens, PhotoSkyline
 
 REFERENCE_FOV_DEG = 60.0
@@ -56,9 +57,8 @@ class Rays(ImagePoints):
     """(R,) float64. Trust in each ray, at least 0; only ratios matter."""
     fov_range_deg: tuple[float, float] | None = None
     """Range of the true field of view; by default it is `fov_deg` exactly."""
-    fov_sd_deg: float = math.inf
-    """Standard deviation of the true field of view about `fov_deg`; infinite for a uniform
-    distribution over the range."""
+    lens: LensPrior = LensPrior()  # noqa: RUF009  (it is frozen)
+    """How likely the fields of view of that range are."""
     distortion_sd: float = 0.0
     """Standard deviation of the lens's distortion about 0; 0 for a panorama, and for a lens without
     distortion. A distortion k moves a ray outwards by k times its `reach`; see
@@ -88,19 +88,18 @@ class Rays(ImagePoints):
             is_whole = photo.projection.is_panorama and fov_deg == photo.projection.most_fov_deg
             share = 0.0 if is_whole else fov_sd_share
             fov_sd_deg = share * fov_deg if lens.fov_sd_deg is None else lens.fov_sd_deg
-            return rays.about(fov_sd_deg, lens.most_fov_deg or math.inf)
+            return rays.about(fov_sd_deg, lens.most_fov_deg or math.inf, lens.crop_share)
         if finds_fov and photo.projection is Projection.PERSPECTIVE:
             fov_deg, fov_sd_deg = USUAL_FOV_DEG
             u, v = photo.with_fov(fov_deg).image_plane()
-            return cls(
+            usual = cls(
                 u=u,
                 v=v,
                 weight=weight,
                 fov_deg=fov_deg,
-                fov_range_deg=FOV_RANGE_DEG,
-                fov_sd_deg=fov_sd_deg,
                 distortion_sd=usual_distortion(photo.projection, fov_deg),
             )
+            return replace(usual.about(fov_sd_deg), fov_range_deg=FOV_RANGE_DEG)
         raise InputError(
             "the photo's field of view is not known: it is not in the image; give --fov-deg"
         )
@@ -119,13 +118,6 @@ class Rays(ImagePoints):
         """The smallest and the largest `log_scale`."""
         low, high = self.log_scale(np.array(self.fov_bounds_deg))
         return float(low), float(high)
-
-    @property
-    def log_scale_sd(self) -> float:
-        """Standard deviation of `log_scale`."""
-        sd_rad = math.radians(self.fov_sd_deg)
-        fov_rad = math.radians(self.fov_deg)
-        return sd_rad / (fov_rad if self.projection.spreads_angles else math.sin(fov_rad))
 
     def searched_fov_deg(self, log_scale: Float64Array) -> Float64Array:
         """Return `fov_at` of factors, held within `fov_bounds_deg`."""
@@ -152,11 +144,14 @@ class Rays(ImagePoints):
         u, v = self.scaled(np.asarray(self.projection.half_width(fov_deg) / self.half_width))
         return replace(self, u=u, v=v, fov_deg=fov_deg)
 
-    def about(self, fov_sd_deg: float, most_deg: float = math.inf) -> "Rays":
-        """Return the rays with a normally distributed field of view.
+    def about(
+        self, fov_sd_deg: float, most_deg: float = math.inf, crop_share: float = 0.0
+    ) -> "Rays":
+        """Return the rays with a field of view that is known up to a deviation.
 
         Four standard deviations about the current one are searched, as far as a camera allows and
-        up to ``most_deg``. With a deviation of 0 the field of view is known exactly.
+        up to ``most_deg``; down to half of it, if the photo was cropped with a probability of
+        ``crop_share``. With a deviation of 0 the field of view is known exactly.
         """
         if fov_sd_deg == 0.0:
             return self
@@ -165,8 +160,16 @@ class Rays(ImagePoints):
         if self.projection.spreads_angles:
             possible_deg = self.projection.most_fov_deg
         widest_deg = min(fov_deg + _CAMERAS.searched_sds * fov_sd_deg, possible_deg, most_deg)
-        narrowest_deg = max(fov_deg - _CAMERAS.searched_sds * fov_sd_deg, 0.5 * fov_deg)
-        return replace(self, fov_range_deg=(narrowest_deg, widest_deg), fov_sd_deg=fov_sd_deg)
+        narrowest_deg = 0.5 * fov_deg
+        if not crop_share:
+            narrowest_deg = max(fov_deg - _CAMERAS.searched_sds * fov_sd_deg, narrowest_deg)
+        fov_rad = math.radians(fov_deg)
+        sd = math.radians(fov_sd_deg) / (
+            fov_rad if self.projection.spreads_angles else math.sin(fov_rad)
+        )
+        return replace(
+            self, fov_range_deg=(narrowest_deg, widest_deg), lens=LensPrior(sd, crop_share)
+        )
 
 
 def usual_distortion(projection: Projection, fov_deg: float) -> float:

@@ -343,7 +343,7 @@ class Refinement:
         linear, found = solver.evaluate(particles.curves, particles.fit)
         # Columns share errors that the likelihood takes for independent: variances are too small by
         # the temperature.
-        covariance = TEMPERATURE * solver.covariance(linear, found)
+        covariance = TEMPERATURE * solver.covariance(particles.fit, linear, found)
         trust = solver.rays.weight
         squares = (found.trusted_odds * np.nan_to_num(linear.residual_rad) ** 2).sum(axis=1)
         shown = np.maximum(found.trusted_odds.sum(axis=1), 1e-9)

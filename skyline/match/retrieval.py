@@ -58,8 +58,12 @@ class RetrievalEffort:
     likely_sd: float = 2.5
     """Fields of view more than this many standard deviations from the expected one are not
     screened, though fits may reach them."""
-    unlikely_penalty: float = 0.25
-    """Penalty of a field of view in screening, over the square of its standard deviations."""
+    unlikely_penalty: float = 0.5
+    """Penalty of a field of view in screening, over the cost of its `LensPrior`."""
+    least_crop_share: float = 0.1
+    """Least probability of a crop with which narrower fields of view are screened."""
+    crop_steps: float = 2.0
+    """Step between those narrower ones, in steps of the likely ones."""
     rough_share: float = 0.05
     """Share of all places that the last short list is of."""
     rough_least: int = 16_384
@@ -255,7 +259,7 @@ class Retriever:
         self, rays: Rays, prior: Prior, log_scales: Float64Array, *, coarse: bool = False
     ) -> Screen:
         """Return a screen of fields of view, with a penalty for unlikely ones."""
-        penalty = _EFFORT.unlikely_penalty * np.square(log_scales / rays.log_scale_sd)
+        penalty = _EFFORT.unlikely_penalty * rays.lens.cost(log_scales)
         fovs_deg = rays.searched_fov_deg(log_scales)
         return Screen(rays, fovs_deg, self._sample, prior.open_turns, penalty, coarse=coarse)
 
@@ -395,7 +399,15 @@ def _even_log_scales(rays: Rays, low: float, high: float, step: float) -> Float6
 
 
 def _likely_log_scales(rays: Rays, step: float) -> Float64Array:
-    """Return `Rays.log_scale` of likely fields of view, a step apart."""
-    likely = _EFFORT.likely_sd * rays.log_scale_sd
-    low, high = np.clip(rays.log_scale_bounds, -likely, likely)
-    return _even_log_scales(rays, float(low), float(high), step)
+    """Return `Rays.log_scale` of likely fields of view, a step apart.
+
+    Those of crops lie farther apart, and are left out if a crop is unlikely.
+    """
+    likely = _EFFORT.likely_sd * rays.lens.sd
+    least, most = rays.log_scale_bounds
+    low, high = (float(one) for one in np.clip((least, most), -likely, likely))
+    core = _even_log_scales(rays, low, high, step)
+    if rays.lens.crop_share < _EFFORT.least_crop_share:
+        return core
+    crops = _even_log_scales(rays, least, low, _EFFORT.crop_steps * step)
+    return np.concatenate([crops, core])

@@ -76,6 +76,9 @@ class SolverPriors:
     """Factor on the log priors of the eye's height and of the height errors. Neighbouring columns
     share errors that the likelihood takes for independent, so costs are too large by about this
     factor."""
+    lens_weight: float = TEMPERATURE
+    """Factor on the log prior of the lens. Costs are too large by about `TEMPERATURE`, and the
+    lens is known as well as its file says."""
     blur_steps: float = 0.3
     """Standard deviation of the skyline's azimuth, in steps of the panorama."""
     least_columns: int = 16
@@ -252,7 +255,6 @@ class Solver:
         self._prior = np.zeros(size)
         self._prior[PITCH] = _PRIORS.pitch_sd_rad**-2
         self._prior[ROLL] = _PRIORS.roll_sd_rad**-2
-        self._prior[LOG_SCALE] = rays.log_scale_sd**-2.0
         free = np.full(size, np.inf)
         free[[EAST, NORTH]] = _PRIORS.position_sd_m
         free[EYE_HEIGHT] = max(eye.sd_m, _NO_STEP_M)
@@ -368,11 +370,22 @@ class Solver:
         errors = self._errors(linear, curves)
         return linear, self._likelihood(fit, linear, errors)
 
-    def covariance(self, linear: Linearization, found: Likelihood) -> Float64Array:
+    def covariance(self, fit: Fit, linear: Linearization, found: Likelihood) -> Float64Array:
         """Return the covariance (M, P, P) of states, priors included."""
-        normal = found.product(linear.jacobian, linear.jacobian) + np.diag(self._information)
+        normal = found.product(linear.jacobian, linear.jacobian)
+        normal += self._information_at(fit.state)
         self._pull_to_noted(linear, normal, np.zeros(normal.shape[:2]))
         return np.asarray(np.linalg.inv(normal))
+
+    def _information_at(self, state: Float64Array) -> Float64Array:
+        """Return the information (M, P, P) of the priors at states (M, P)."""
+        each = np.tile(self._information, (len(state), 1))
+        each[:, LOG_SCALE] += self._lens_precision(state)
+        return np.asarray(each[:, np.newaxis] * np.eye(self.size))
+
+    def _lens_precision(self, state: Float64Array) -> Float64Array:
+        """Return how strongly the lens's prior pulls states (M,)."""
+        return _PRIORS.lens_weight * self.rays.lens.precision(state[:, LOG_SCALE])
 
     def linearize(self, curves: Curves, state: Float64Array) -> Linearization:
         """Return residuals and their derivatives at states (M, P)."""
@@ -451,8 +464,10 @@ class Solver:
         attitude = slice(HEADING, None)
         change = linear.jacobian[:, attitude]
         normal = found.product(change, change)
-        _, log_det = np.linalg.slogdet(normal + np.diag(self._information[attitude]))
+        known = self._information_at(fit.state)[:, attitude, attitude]
+        _, log_det = np.linalg.slogdet(normal + known)
         prior = 0.5 * fit.state**2 @ self._prior
+        prior += _PRIORS.lens_weight * self.rays.lens.cost(fit.state[:, LOG_SCALE])
         prior += _PRIORS.terrain_weight * self._eye.cost(fit.state[:, EYE_HEIGHT])
         if self._noted is not None:
             prior += TEMPERATURE * self._noted.cost(
@@ -500,6 +515,7 @@ class Solver:
         height_m = fit.state[:, EYE_HEIGHT]
         step_m = np.maximum(step_m, _NO_STEP_M)
         prior = np.tile(self._prior, (len(step_m), 1))
+        prior[:, LOG_SCALE] = self._lens_precision(fit.state)
         prior[:, [EAST, NORTH]] = step_m[:, np.newaxis] ** -2
         prior[:, EYE_HEIGHT] = _PRIORS.terrain_weight * self._eye.precision(height_m)
         off = fit.state.copy()

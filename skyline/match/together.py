@@ -138,7 +138,7 @@ class JointRefinement:
         """
         covariance = np.stack(
             [
-                solver.covariance(*solver.evaluate(own.curves, own.fit))[:, _EYE, _EYE]
+                solver.covariance(own.fit, *solver.evaluate(own.curves, own.fit))[:, _EYE, _EYE]
                 for solver, own in zip(self._solvers, particles, strict=True)
             ]
         )

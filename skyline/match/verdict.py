@@ -36,6 +36,8 @@ class _Limits:
     at_bound_share: float = 1e-3
     """A field of view counts as at an end of the searched range if its distance from the end is
     less than this share of the range: a fit held at a bound may differ from it by rounding."""
+    unexpected_lens_sds: float = 2.0
+    """Fields of view less likely than so many standard deviations are named as unexpected."""
     least_of_fit: float = 0.75
     """Least share of right poses among those that fit like a given one. The share is learned from
     the best poses of searches; a pose that a person gives is right more often."""
@@ -260,7 +262,9 @@ def _slope_hint(candidates: Sequence[Pose]) -> str:
 def _fov_hint(best: Pose, skyline: PhotoSkyline, rays: Rays) -> str:
     """Return a hint if a field of view is unexpected; else empty."""
     expected_deg = skyline.fov_deg
-    if expected_deg is None or abs(best.fov_deg - expected_deg) < 2.0 * rays.fov_sd_deg:
+    if expected_deg is None:
+        return ""
+    if rays.lens.deviations(rays.log_scale(best.fov_deg)) < _LIMITS.unexpected_lens_sds:
         return ""
     return (
         f"; the best pose has a field of view of {best.fov_deg:.1f} degrees, and "

@@ -26,6 +26,9 @@ class Lens:
         Standard deviation of ``fov_deg``; None if it is as accurate as a value that a user gives.
     most_fov_deg : float or None
         The greatest possible field of view, if the photo was cropped or digitally zoomed.
+    crop_share : float
+        Probability that the photo shows less than ``fov_deg`` give or take ``fov_sd_deg``, since a
+        program may have cropped it.
     reason : str
         The source of the values in words, or the reason that there are none; empty if the file
         notes no lens.
@@ -35,6 +38,7 @@ class Lens:
     fov_sd_deg: float | None = None
     most_fov_deg: float | None = None
     reason: str = ""
+    crop_share: float = 0.0
 
     @property
     def in_words(self) -> str:

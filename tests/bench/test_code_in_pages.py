@@ -26,7 +26,7 @@ HOOKS = Path(__file__).parents[2] / ".ci" / "site_pages.py"
         ("7<!-- skyline.skylines.HEADINGS.3 -->", "3<!-- skyline.skylines.HEADINGS.3 -->"),
         (
             "9 %<!-- skyline.MatchConfig.fov_sd_share:.1% -->",
-            "2.5 %<!-- skyline.MatchConfig.fov_sd_share:.1% -->",
+            "2.0 %<!-- skyline.MatchConfig.fov_sd_share:.1% -->",
         ),
     ],
     ids=["integer", "thousands", "fraction", "item of a tuple", "default of a field, as a share"],

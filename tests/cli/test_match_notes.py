@@ -29,7 +29,7 @@ def test_the_lens_in_the_exif_is_weighed(run, store, photo, tmp_path, monkeypatc
     assert unknown["fov_deg"] is None
     said = run("match", store, cropped, lie, "--matcher", "unrefined").out
     assert (
-        "field of view: 53.7 degrees, give or take 12; only EXIF's 35 mm equivalent gives it,"
+        "field of view: 53.7 degrees, give or take 10; only EXIF's 35 mm equivalent gives it,"
         in said
     )
     assert "field of view: not known; only EXIF's 35 mm equivalent gives it: 0.21 degrees" in said

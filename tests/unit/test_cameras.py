@@ -7,7 +7,7 @@ import pytest
 from PIL.ExifTags import Base
 
 from skyline.match.rays import Rays
-from skyline.photo.noted_fov import lens_of
+from skyline.photo.noted_fov import NOMINAL_SD, lens_of
 
 pytest.importorskip("lensfunpy", reason="no database of sensors on this machine")
 
@@ -173,8 +173,9 @@ def test_only_a_possible_lens_counts(focal_mm, equivalent_mm, zoom, true_deg):
     }  # fmt: skip
     found = lens_of(tags, (4000, 3000))
     assert found.fov_deg == pytest.approx(true_deg, rel=0.01)
+    sd = math.hypot(NOMINAL_SD, 1.0 / math.sqrt(12.0) / equivalent_mm)
     assert found.fov_sd_deg == pytest.approx(
-        0.1 * math.degrees(math.sin(math.radians(true_deg))), rel=0.01
+        sd * math.degrees(math.sin(math.radians(true_deg))), rel=0.01
     )
     assert found.most_fov_deg is None
 
@@ -205,3 +206,23 @@ def test_a_program_that_shrinks_a_photo_makes_no_crop_mode():
     assert "which that sensor is not" in found.reason
     same = lens_of(tags | {Base.DateTime: "2024:05:01 10:00:02"}, (3408, 2272))
     assert same.fov_deg == pytest.approx(35.5, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("tags", "size", "share"),
+    [
+        ({}, (4000, 3000), 0.05),
+        ({}, (1600, 1200), 0.2),
+        ({Base.ExifImageWidth: 1600, Base.ExifImageHeight: 1200}, (1600, 1200), 0.2),
+        ({Base.Software: "Adobe Photoshop 21.0 (Windows)"}, (4000, 3000), 0.3),
+        ({Base.Software: "17.5.1"}, (4000, 3000), 0.05),
+        # A focal length on the sensor of this camera agrees.
+        ({Base.Model: "DSC-HX20V", Base.FocalLength: 4.45}, (4000, 3000), 0.0125),
+        # The shape says that it was cropped, which the deviation covers.
+        ({}, (1600, 900), 0.0),
+    ],
+)
+def test_a_crop_is_as_likely_as_the_file_says(tags, size, share):
+    noted = {Base.FocalLengthIn35mmFilm: 25}
+    noted |= {Base.ExifImageWidth: 4000, Base.ExifImageHeight: 3000}
+    assert lens_of(noted | tags, size).crop_share == pytest.approx(share)

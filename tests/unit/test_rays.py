@@ -16,13 +16,18 @@ def test_a_field_of_view_is_searched_about_the_one_given():
     u = np.array([-0.5, 0.5])
     rays = equally_trusted(u, u**2, 60.0)
     about = rays.about(1.5)
-    assert about.fov_sd_deg == pytest.approx(1.5)
     assert about.fov_bounds_deg == pytest.approx((54.0, 66.0))
     # The deviation of log(tan(fov / 2)), by differences.
     wider, narrower = (np.log(np.tan(np.radians(fov / 2.0))) for fov in (60.001, 59.999))
-    assert about.log_scale_sd == pytest.approx(1.5 * (wider - narrower) / 0.002, rel=1e-5)
+    assert about.lens.sd == pytest.approx(1.5 * (wider - narrower) / 0.002, rel=1e-5)
     wide = replace(rays, fov_deg=170.0).about(85.0)
     assert 0.0 < wide.fov_bounds_deg[0] < 170.0 < wide.fov_bounds_deg[1] < 180.0
+
+
+def test_a_photo_that_may_be_cropped_is_searched_down_to_half_its_field_of_view():
+    rays = equally_trusted(np.array([-0.5, 0.5]), np.zeros(2), 60.0).about(1.5, crop_share=0.2)
+    assert rays.fov_bounds_deg == pytest.approx((30.0, 66.0))
+    assert rays.lens.crop_share == 0.2
 
 
 @pytest.mark.parametrize(
@@ -64,7 +69,7 @@ def test_a_panorama_s_scale_is_its_field_of_view_s():
         projection=Projection.CYLINDRICAL,
     )
     np.testing.assert_allclose(around.fov_at(around.log_scale(242.0)), 242.0)
-    assert around.about(2.2).log_scale_sd == pytest.approx(0.01)
+    assert around.about(2.2).lens.sd == pytest.approx(0.01)
     assert around.about(100.0).fov_bounds_deg == (110.0, 360.0)
 
 

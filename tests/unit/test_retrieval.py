@@ -12,6 +12,7 @@ from place_scenes import AZIMUTH_DEG, curve, photo, places_of, rays
 from ray_scenes import equally_trusted, swept
 
 from skyline.errors import InputError
+from skyline.match.lens_prior import LensPrior
 from skyline.match.prior import NOTHING_KNOWN, Narrowing, Prior
 from skyline.match.retrieval import Retriever
 
@@ -180,7 +181,7 @@ def test_photos_of_one_eye_share_their_places(places):
 
 
 def test_threads_change_nothing(monkeypatch):
-    seen = replace(rays(3, 77.0), fov_range_deg=(50.0, 70.0), fov_sd_deg=4.0)
+    seen = replace(rays(3, 77.0), fov_range_deg=(50.0, 70.0), lens=LensPrior(0.08))
     places = many(2300)
 
     def costs(threads):
