@@ -194,8 +194,8 @@ class KnownCamera:
         # An even distribution up to the greatest error has this deviation.
         sds[HEADING] = math.radians(slack_deg) / math.sqrt(3.0)
         sds[PITCH], sds[ROLL] = priors.pitch_sd_rad, priors.roll_sd_rad
-        # A field of view that is known exactly has no deviation.
-        sds[LOG_SCALE] = max(rays.log_scale_sd, 1e-6)
+        # A field of view that is known exactly has no range.
+        sds[LOG_SCALE] = rays.lens.rms if rays.fov_range_deg else 1e-6
         height_m: float | None = pose.eye_elevation_m - float(
             viewer.terrain.height_at(easting_m=pose.easting_m, northing_m=pose.northing_m)
         )

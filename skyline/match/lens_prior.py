@@ -36,6 +36,14 @@ class LensPrior:
     crop_share: float = 0.0
     """Probability that the photo shows less than the field of view noted for it."""
 
+    @property
+    def rms(self) -> float:
+        """Root mean square of the logarithm of the scale."""
+        if not self.crop_share or self.sd >= CROP_SD:
+            return self.sd
+        of_tail = CROP_SD**2 - CROP_SD * self.sd + self.sd**2
+        return math.sqrt((1.0 - self.crop_share) * self.sd**2 + self.crop_share * of_tail)
+
     def cost(self, log_scale: Any) -> Float64Array:
         """Return the negative log density of logarithms of scales, any shape.
 

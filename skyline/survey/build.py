@@ -104,8 +104,9 @@ def build_places(
     StoreMismatchError
         The store at ``path``, or a part of it, was built from another DEM or with other settings.
     """
-    plan = PlacePlan(spacing_m, bounds_deg, places, curvature or terrain.frame.curvature)
-    return build_store(read_dem(terrain), path, plan, progress=progress)
+    field = read_dem(terrain)
+    plan = PlacePlan(spacing_m, bounds_deg, places, curvature or field.frame.curvature)
+    return build_store(field, path, plan, progress=progress)
 
 
 def build_uniform(

@@ -1,5 +1,7 @@
 """What is known of a lens beforehand."""
 
+import math
+
 import numpy as np
 import pytest
 
@@ -53,3 +55,9 @@ def test_cost_and_slope_are_continuous_where_the_tail_begins():
 
 def test_a_core_as_wide_as_crops_has_no_tail():
     assert LensPrior(sd=0.5, crop_share=0.3).cost(-0.5) == pytest.approx(0.5)
+
+
+def test_rms_is_the_root_mean_square_of_the_density():
+    scales = np.linspace(-3.0, 3.0, 60_001)
+    density = np.exp(-CROPPED.cost(scales))
+    assert CROPPED.rms == pytest.approx(math.sqrt(np.average(scales**2, weights=density)), rel=1e-3)
