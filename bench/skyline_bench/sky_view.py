@@ -44,10 +44,8 @@ def sky_view(
     terrain = _middle(read_dem(dem, DemOptions(crs=crs)), side)
     with Terminal().progress("measuring") as progress:
         rows = [_measured(terrain, one, seed, progress) for one in step_deg or [GRID_STEP_DEG]]
-    columns = (
-        "step_deg samples km2 seconds cpu_seconds us_per_sample compared=n mean_error rms_error "
-        "max_error"
-    )
+    columns = """step_deg samples km2 seconds cpu_seconds us_per_sample compared=n mean_error
+        rms_error max_error"""
     options.report(record, rows, columns, terrain=terrain)
 
 

@@ -134,7 +134,7 @@ def _speed_error(terrain: HeightField, seed: int, quick: bool, progress: Progres
 def _ways(
     terrain: HeightField, batch: Viewpoints, compared: Viewpoints, quick: bool, held: ExitStack
 ) -> Iterator[_Way]:
-    """Yield every way that is compared; renderers are released with ``held``."""
+    """Yield every way that is compared; renderers are closed with ``held``."""
     # The depth path and the oracle take viewpoints one by one, and fewer are enough.
     few = compared[:2]
     some = compared[: 2 if quick else 8]

@@ -21,25 +21,25 @@ def test_a_lost_scheduler_ends_the_run(lost):
 
 @pytest.fixture
 def openings():
-    """Openings of two tools, ``a`` twice, and what is opened and released, in order."""
+    """Openings of two tools, ``a`` twice, and what is opened and closed, in order."""
     events = []
 
     def opening(name):
         def opened():
             events.append(f"open {name}")
-            return Mock(**{"release.side_effect": lambda: events.append(f"release {name}")})
+            return Mock(**{"close.side_effect": lambda: events.append(f"close {name}")})
 
         return Opening(name, opened)
 
     return events, [opening(name) for name in "aab"]
 
 
-def test_a_bench_opens_a_tool_once_and_releases_it_before_the_next(openings):
+def test_a_bench_opens_a_tool_once_and_closes_it_before_the_next(openings):
     events, some = openings
     bench = Bench()
     for opening in some:
         assert bench.do(lambda tool, item, tell: item, opening, 7, print) == 7
-    assert events == ["open a", "release a", "open b"]
+    assert events == ["open a", "close a", "open b"]
 
 
 def test_a_tool_that_could_not_be_opened_is_opened_by_the_next_job():

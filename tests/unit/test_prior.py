@@ -121,6 +121,6 @@ def test_standings_share_one_probability():
 
 
 def test_a_narrowing_holds_plain_numbers_however_they_are_given():
-    given = Narrowing(near=np.float32([9.5, 46.5, 2.0]), heading_deg=["140", np.int64(10)])
+    given = Narrowing(near=np.float32([9.5, 46.5, 2.0]), heading_deg=[140, np.int64(10)])
     assert given == Narrowing(near=(9.5, 46.5, 2.0), heading_deg=(140.0, 10.0))
     assert hash(given) == hash(replace(given))
