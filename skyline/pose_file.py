@@ -1,6 +1,7 @@
 """Poses in files, as commands print them and people write them."""
 
 import json
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -49,6 +50,12 @@ def angle_sds_in(path: Path, photo: Path) -> dict[str, float]:
     given = record if isinstance(record, dict) else {}
     sds = {name: given.get(name) for name in ANGLE_SDS}
     return {name: float(sd) for name, sd in sds.items() if isinstance(sd, int | float) and sd > 0}
+
+
+def lacking_sds(sds: Mapping[str, float], usual: object) -> str:
+    """Return the standard errors that a pose's file lacks, with the usual ones, in words."""
+    lacking = [name for name in ANGLE_SDS if name not in sds]
+    return ", ".join(f"{name} {getattr(usual, name):g}" for name in lacking)
 
 
 def _records_in(path: Path) -> list[Any]:

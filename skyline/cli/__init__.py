@@ -16,6 +16,7 @@ COMMANDS = {
         "orient": "Find how cameras were held at a known position.",
         "label": "Write the names of summits on a copy of a photo.",
         "pixels": "Give the position on the terrain of each pixel of a photo.",
+        "cross": "Give the position of something that two or more photos show.",
         "when": "Tell when a photo was taken, by its sun, its moon or a shadow.",
         "extract": "Find the skyline in a photo and write it as a trace.",
         "serve": "Serve a page that finds the places of photos in a browser.",

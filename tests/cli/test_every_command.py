@@ -1,5 +1,6 @@
 """The end of every command after Ctrl-C, and when its output is no longer read."""
 
+import json
 import os
 import shutil
 import signal
@@ -20,6 +21,7 @@ from skyline.store.read import open_store
 
 IN_DEM, BOX = ("--dem", "{dem}"), ("--bounds", "9,46,10,47")
 POSED, PLACED = ("{photo}", "--pose", "{pose}", *IN_DEM), ("--at", "{at}", *IN_DEM)
+MIDDLES = ("--pixel", "511.5,383.5") * 2
 COMMANDS = {
     "info": (("{dem}",), "info.read_terrain"),
     "explain": (("{dem}", "--at", "{at}"), "explain.read_terrain"),
@@ -29,7 +31,11 @@ COMMANDS = {
     "match": (("{store}", "{trace}", "--matcher", "unrefined"), "tasks.match.Matcher"),
     "label": ((*POSED, "--peaks", "{peaks}", "-o", "{out}.png"), "tasks.label.read_dem"),
     "pixels": ((*POSED, "--step", "40", "-o", "{out}.npz"), "tasks.pixels.read_dem"),
-    "when": ((*POSED, "--time", "2026-06-21T12:00Z", "--sun", "1,1", "-q"), "tasks.when.read_dem"),
+    "cross": (
+        ("{photo}", "{photo}", "--pose", "{pose}", "--pose", "{aside}", *MIDDLES, *IN_DEM),
+        "tasks.cross.read_dem",
+    ),
+    "when": ((*POSED, "--time", "2026-06-21T12:00Z", "--sun", "1,1"), "tasks.when.read_dem"),
     "orient": (("{trace}", *PLACED, "-o", "{out}.csv"), "orient.read_terrain"),
     "locate": (
         ("{photo}", "--near", "{at},1", *IN_DEM, "--report", "{out}"),
@@ -101,11 +107,21 @@ def peaks(tmp_path):
 
 
 @pytest.fixture
-def command(store, photo, trace, pose, peaks, tmp_path, dem):
+def aside(pose, tmp_path):
+    """The pose of a camera 400 m to the left that looks across the first one's view."""
+    first = json.loads(pose.read_text())
+    moved = {"lon": first["lon"] + 0.0039, "lat": first["lat"] + 0.00225}
+    path = tmp_path / "aside.json"
+    path.write_text(json.dumps(first | moved | {"heading_deg": first["heading_deg"] + 45.0}))
+    return path
+
+
+@pytest.fixture
+def command(store, photo, trace, pose, aside, peaks, tmp_path, dem):
     """Return a function that gives a command's arguments."""
     at = "{:.6f},{:.6f}".format(*lonlat_of(dem))
     given = {"dem": dem, "at": at, "out": tmp_path / "out", "tmp": tmp_path, "store": store}
-    given |= {"photo": photo, "trace": trace, "pose": pose, "peaks": peaks}
+    given |= {"photo": photo, "trace": trace, "pose": pose, "aside": aside, "peaks": peaks}
     return lambda name: [*name.split(), *(str(one).format(**given) for one in COMMANDS[name][0])]
 
 
