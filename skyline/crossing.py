@@ -106,6 +106,7 @@ def cross(rays: Sequence[Ray], curvature: Curvature) -> Crossing:
     )
     _check_apart(rays, seen_deg[:, 0])
     place_m = _nearest(eyes_m, seen_deg)
+    _check_ahead(place_m, eyes_m, seen_deg[:, 0])
     for _ in range(_ROUNDS):
         off_deg, slopes = _off(place_m, eyes_m, seen_deg, curvature)
         weights = np.array([_weight(ray, slope) for ray, slope in zip(rays, slopes, strict=True)])

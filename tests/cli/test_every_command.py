@@ -107,21 +107,21 @@ def peaks(tmp_path):
 
 
 @pytest.fixture
-def aside(pose, tmp_path):
-    """The pose of a camera 400 m to the left that looks across the first one's view."""
+def poses(pose, tmp_path):
+    """The photo's pose, and one of a camera 400 m to the left that looks across its view."""
     first = json.loads(pose.read_text())
     moved = {"lon": first["lon"] + 0.0039, "lat": first["lat"] + 0.00225}
     path = tmp_path / "aside.json"
     path.write_text(json.dumps(first | moved | {"heading_deg": first["heading_deg"] + 45.0}))
-    return path
+    return {"pose": pose, "aside": path}
 
 
 @pytest.fixture
-def command(store, photo, trace, pose, aside, peaks, tmp_path, dem):
+def command(store, photo, trace, poses, peaks, tmp_path, dem):
     """Return a function that gives a command's arguments."""
     at = "{:.6f},{:.6f}".format(*lonlat_of(dem))
     given = {"dem": dem, "at": at, "out": tmp_path / "out", "tmp": tmp_path, "store": store}
-    given |= {"photo": photo, "trace": trace, "pose": pose, "aside": aside, "peaks": peaks}
+    given |= {"photo": photo, "trace": trace, "peaks": peaks, **poses}
     return lambda name: [*name.split(), *(str(one).format(**given) for one in COMMANDS[name][0])]
 
 
