@@ -1,6 +1,7 @@
 """Poses in files, as commands print them and people write them."""
 
 import json
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePath
@@ -103,6 +104,12 @@ def _check_photo(record: Any, path: Path, photo: Path) -> None:
             f"pose {path} is of {printable(str(named))}, not of {photo}; give the pose of this "
             "photo, or remove `photo` from the record if a fixed camera took both"
         )
+
+
+def lacking_sds(sds: Mapping[str, float], usual: object) -> str:
+    """Return the standard errors that a pose's file lacks, with the usual ones, in words."""
+    lacking = [name for name in ANGLE_SDS if name not in sds]
+    return ", ".join(f"{name} {getattr(usual, name):g}" for name in lacking)
 
 
 def _records_in(path: Path) -> list[Any]:

@@ -16,6 +16,7 @@ COMMANDS = {
         "orient": "Find how cameras were held at a known position.",
         "label": "Write the names of summits on a copy of a photo.",
         "pixels": "Give the position on the terrain of each pixel of a photo.",
+        "cross": "Give the position of something that two or more photos show.",
         "when": "Tell when a photo was taken, by its sun, its moon or a shadow.",
         "draw": "Lay lines drawn in a photo on the map, or draw the map's into the photo.",
         "ortho": "Lay photos on the ground, as a Cloud-Optimized GeoTIFF.",

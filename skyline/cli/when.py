@@ -80,6 +80,8 @@ def when(
         return
     for line in _lines(told):
         terminal.line(line)
+    if told.assumed:
+        terminal.line(f"the pose has no standard errors of its own for: {told.assumed}")
 
 
 def _lines(told: Told) -> list[str]:
@@ -109,7 +111,12 @@ def _record(told: Told) -> dict[str, Any]:
     """Return the answer as JSON has it."""
     if told.heading is None:
         times = [asdict(one) | {"time": f"{one.time:%Y-%m-%dT%H:%M:%SZ}"} for one in told.times]
-        return {"times": times}
+        return {"times": times, "assumed": told.assumed}
     found = told.heading
     above = None if math.isnan(found.above_deg) else found.above_deg
-    return {"heading_deg": found.heading_deg, "heading_sd_deg": found.sd_deg, "above_deg": above}
+    return {
+        "heading_deg": found.heading_deg,
+        "heading_sd_deg": found.sd_deg,
+        "above_deg": above,
+        "assumed": told.assumed,
+    }

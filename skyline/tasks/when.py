@@ -9,7 +9,7 @@ from skyline.camera import Projection
 from skyline.errors import InputError
 from skyline.geodesy.earth import Curvature
 from skyline.pose import Pose
-from skyline.pose_file import ANGLE_SDS, angle_sds_in, read_posed
+from skyline.pose_file import angle_sds_in, lacking_sds, read_posed
 from skyline.sun import Body, Sky
 from skyline.sun_clock import (
     ClockTime,
@@ -62,12 +62,15 @@ class Told:
         The likeliest first; empty if the time was given.
     heading : SunHeading or None
         None if the day was given.
+    assumed : str
+        The standard errors that the pose's file lacks, with the values taken, in words.
     """
 
     pose: Pose
     errors: PointingErrors
     times: list[ClockTime]
     heading: SunHeading | None = None
+    assumed: str = ""
 
 
 def tell_when(task: WhenTask, listener: Listener) -> Told:
@@ -96,10 +99,7 @@ def tell_when(task: WhenTask, listener: Listener) -> Told:
         told = Told(pose, errors, [], heading_at(pose, pointing, sky, task.body, task.known))
     else:
         told = Told(pose, errors, times_at(pointing, sky, task.body, task.known, pose.lon))
-    if missing := [name for name in ANGLE_SDS if name not in sds]:
-        assumed = ", ".join(f"{name} {getattr(errors, name):g}" for name in missing)
-        listener.note(f"{task.pose} lacks standard errors; taken are {assumed}")
-    return told
+    return replace(told, assumed=lacking_sds(sds, errors))
 
 
 def pixels_of(given: str, option: str, counts: tuple[int, ...]) -> tuple[Pixel, ...]:

@@ -1,5 +1,6 @@
 """The end of every command after Ctrl-C, and when its output is no longer read."""
 
+import json
 import os
 import shutil
 import signal
@@ -20,6 +21,7 @@ from skyline.store.read import open_store
 
 IN_DEM, BOX = ("--dem", "{dem}"), ("--bounds", "9,46,10,47")
 POSED, PLACED = ("{photo}", "--pose", "{pose}", *IN_DEM), ("--at", "{at}", *IN_DEM)
+MIDDLES = ("--pixel", "511.5,383.5") * 2
 COMMANDS = {
     "info": (("{dem}",), "info.read_terrain"),
     "explain": (("{dem}", "--at", "{at}"), "explain.read_terrain"),
@@ -29,6 +31,10 @@ COMMANDS = {
     "match": (("{store}", "{trace}", "--matcher", "unrefined"), "tasks.match.Matcher"),
     "label": ((*POSED, "--peaks", "{peaks}", "-o", "{out}.png"), "tasks.label.read_dem"),
     "pixels": ((*POSED, "--step", "40", "-o", "{out}.npz"), "tasks.pixels.read_dem"),
+    "cross": (
+        ("{photo}", "{photo}", "--pose", "{pose}", "--pose", "{aside}", *MIDDLES, *IN_DEM),
+        "tasks.cross.read_dem",
+    ),
     "when": ((*POSED, "--time", "2026-06-21T12:00Z", "--sun", "1,1", "-q"), "tasks.when.read_dem"),
     "draw": ((*POSED, "--vectors", "{drawn}", "-o", "{out}.kml"), "tasks.draw.read_dem"),
     "ortho": ((*POSED, "-o", "{out}.tif"), "tasks.ortho.read_dem"),
@@ -103,13 +109,23 @@ def peaks(tmp_path):
 
 
 @pytest.fixture
-def command(store, photo, trace, pose, peaks, tmp_path, dem):
+def poses(pose, tmp_path):
+    """The photo's pose, and one of a camera 400 m to the left that looks across its view."""
+    first = json.loads(pose.read_text())
+    moved = {"lon": first["lon"] + 0.0039, "lat": first["lat"] + 0.00225}
+    path = tmp_path / "aside.json"
+    path.write_text(json.dumps(first | moved | {"heading_deg": first["heading_deg"] + 45.0}))
+    return {"pose": pose, "aside": path}
+
+
+@pytest.fixture
+def command(store, photo, trace, poses, peaks, tmp_path, dem):
     """Return a function that gives a command's arguments."""
     at = "{:.6f},{:.6f}".format(*lonlat_of(dem))
     drawn = tmp_path / "drawn.svg"
     drawn.write_text('<svg><line x1="400" y1="600" x2="500" y2="620"/></svg>')
     given = {"dem": dem, "at": at, "out": tmp_path / "out", "tmp": tmp_path, "store": store}
-    given |= {"photo": photo, "trace": trace, "pose": pose, "peaks": peaks, "drawn": drawn}
+    given |= {"photo": photo, "trace": trace, "peaks": peaks, "drawn": drawn, **poses}
     return lambda name: [*name.split(), *(str(one).format(**given) for one in COMMANDS[name][0])]
 
 

@@ -1,0 +1,118 @@
+"""Where the same thing stands in two or more photos."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from skyline.crossing import Crossing, Ray, cross
+from skyline.errors import InputError
+from skyline.photo.photo import read_photo
+from skyline.pose_file import angle_sds_in, lacking_sds, read_pose
+from skyline.sun_clock import Pixel, PointingErrors, body_pointing
+from skyline.tasks.label import shown_pose
+from skyline.tasks.listener import Listener
+from skyline.terrain.dem import read_dem
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.provenance import DemOptions
+from skyline.view import Viewer
+
+POSITION_SD_M = 10.0
+"""Standard error of a camera's easting, and of its northing: a phone's, or a match's."""
+HEIGHT_SD_M = 3.0
+"""Standard error of a camera's elevation: the DEM's, mostly."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CrossTask:
+    """Photos with their poses, and the pixel of the same thing in each."""
+
+    photos: Sequence[Path]
+    poses: Sequence[Path]
+    """Files of the poses, in the order of the photos."""
+    pixels: Sequence[Pixel]
+    dem: Sequence[str]
+    """Elevation files, or folders of them."""
+    crs: str | None = None
+    """CRS of elevation files that name none."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Crossed:
+    """A crossing on the map.
+
+    Attributes
+    ----------
+    crossing : Crossing
+    lon, lat : float
+        Degrees (WGS 84).
+    above_ground_m : float
+        NaN off the elevation model.
+    assumed : str
+        The standard errors that were assumed, in words.
+    """
+
+    crossing: Crossing
+    lon: float
+    lat: float
+    above_ground_m: float
+    assumed: str
+
+
+def cross_photos(task: CrossTask, listener: Listener) -> Crossed:
+    """Return where the rays through pixels of photos cross.
+
+    Raises `InputError` where photos, poses and pixels are not as many, a photo or its pose cannot
+    be read, or the rays have no crossing.
+    """
+    counts = {len(task.photos), len(task.poses), len(task.pixels)}
+    if len(counts) > 1:
+        raise InputError(
+            f"{len(task.photos)} photos, {len(task.poses)} poses and {len(task.pixels)} pixels are "
+            "given; expected one --pose and one --pixel for each photo, in the photos' order"
+        )
+    if len(task.photos) < 2:
+        raise InputError(
+            "one photo is given; expected two or more of the same thing (`skyline pixels` tells "
+            "where the ray of one photo meets the ground)"
+        )
+    with listener.slow("reading the elevation model"):
+        terrain = read_dem(task.dem, DemOptions(crs=task.crs))
+    with Viewer(terrain) as viewer:
+        rays = [
+            _ray(photo, pose, pixel, viewer, listener)
+            for photo, pose, pixel in zip(task.photos, task.poses, task.pixels, strict=True)
+        ]
+    found = cross(rays, viewer.curvature)
+    return _on_map(found, terrain, _assumed(task))
+
+
+def _ray(photo: Path, pose: Path, pixel: Pixel, viewer: Viewer, listener: Listener) -> Ray:
+    """Return the ray of a photo's pixel."""
+    blank = read_photo(photo).blank
+    shown = shown_pose(read_pose(pose, photo, blank.projection), viewer, listener)
+    errors = PointingErrors(**angle_sds_in(pose, photo))
+    pointing = body_pointing(shown, blank, pixel, errors)
+    return Ray(pose=shown, pointing=pointing, position_sd_m=POSITION_SD_M, height_sd_m=HEIGHT_SD_M)
+
+
+def _assumed(task: CrossTask) -> str:
+    """Return the standard errors that are assumed, in words."""
+    usual = PointingErrors()
+    pairs = zip(task.poses, task.photos, strict=True)
+    angles = {lacking_sds(angle_sds_in(pose, photo), usual) for pose, photo in pairs}
+    place = f"position {POSITION_SD_M:g} m, elevation {HEIGHT_SD_M:g} m"
+    return ", ".join([*sorted(filter(None, angles)), place])
+
+
+def _on_map(found: Crossing, terrain: HeightField, assumed: str) -> Crossed:
+    lon, lat = terrain.frame.to_lonlat(found.easting_m, found.northing_m)
+    ground_m = float(terrain.height_at(easting_m=found.easting_m, northing_m=found.northing_m))
+    above_m = found.elevation_m - ground_m
+    return Crossed(
+        crossing=found,
+        lon=float(lon),
+        lat=float(lat),
+        above_ground_m=above_m if math.isfinite(above_m) else math.nan,
+        assumed=assumed,
+    )
