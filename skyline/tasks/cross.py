@@ -7,8 +7,7 @@ from pathlib import Path
 
 from skyline.crossing import Crossing, Ray, cross
 from skyline.errors import InputError
-from skyline.photo.photo import read_photo
-from skyline.pose_file import angle_sds_in, lacking_sds, read_pose
+from skyline.pose_file import angle_sds_in, lacking_sds, read_posed
 from skyline.sun_clock import Pixel, PointingErrors, body_pointing
 from skyline.tasks.label import shown_pose
 from skyline.tasks.listener import Listener
@@ -89,8 +88,9 @@ def cross_photos(task: CrossTask, listener: Listener) -> Crossed:
 
 def _ray(photo: Path, pose: Path, pixel: Pixel, viewer: Viewer, listener: Listener) -> Ray:
     """Return the ray of a photo's pixel."""
-    blank = read_photo(photo).blank
-    shown = shown_pose(read_pose(pose, photo, blank.projection), viewer, listener)
+    picture, noted = read_posed(photo, pose)
+    blank = picture.blank
+    shown = shown_pose(noted, viewer, listener)
     errors = PointingErrors(**angle_sds_in(pose, photo))
     pointing = body_pointing(shown, blank, pixel, errors)
     return Ray(pose=shown, pointing=pointing, position_sd_m=POSITION_SD_M, height_sd_m=HEIGHT_SD_M)
