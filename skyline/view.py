@@ -448,7 +448,7 @@ class Viewer(Closeable):
         )
         if noted.eye_elevation_m is not None:
             pose = replace(pose, eye_elevation_m=noted.eye_elevation_m)
-        check_eye_elevation(pose.eye_elevation_m, standing.eye_elevation_m)
+        check_eye_elevation(pose.eye_elevation_m, standing.eye_elevation_m - height_m)
         return (pose, "") if noted.eye_elevation_m is None else self._lifted(pose)
 
     def _lifted(self, pose: Pose) -> tuple[Pose, str]:

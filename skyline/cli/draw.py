@@ -6,8 +6,8 @@ from typing import Annotated
 import typer
 from typer import Option
 
-from skyline.cli.options import Crs, Dem, output_option
-from skyline.cli.photo_options import POSE, HeightSd, PhotoFile, PhotoProjection, PixelSd
+from skyline.cli.options import POSE, Crs, Dem, PhotoProjection, output_option
+from skyline.cli.photo_options import HeightSd, PhotoFile, PixelSd
 from skyline.cli.terminal import Terminal
 from skyline.ground import GroundErrors
 from skyline.report.vector_files import MAP_FILES

@@ -8,7 +8,7 @@ from typer import Argument, Option
 
 from skyline.batch import entries_of
 from skyline.cli.dem import TileSource
-from skyline.cli.options import DEM_ABOUT, DEM_VARIABLE, AsJson
+from skyline.cli.options import DEM_ABOUT, DEM_VARIABLE, AsJson, PhotoProjection
 from skyline.cli.photo_options import (
     CameraHeight,
     Export,
@@ -16,7 +16,6 @@ from skyline.cli.photo_options import (
     Heading,
     HeadingSlack,
     Near,
-    PhotoProjection,
     ReportPeaks,
     SamePlace,
     SearchBounds,

@@ -7,7 +7,15 @@ import typer
 from typer import Argument, Option
 
 from skyline.batch import entries_of
-from skyline.cli.options import AsJson, StoreDem, StoreFile, SurfaceFiles, Workers, panel
+from skyline.cli.options import (
+    AsJson,
+    PhotoProjection,
+    StoreDem,
+    StoreFile,
+    SurfaceFiles,
+    Workers,
+    panel,
+)
 from skyline.cli.photo_options import (
     CameraHeight,
     Export,
@@ -15,7 +23,6 @@ from skyline.cli.photo_options import (
     Heading,
     HeadingSlack,
     Near,
-    PhotoProjection,
     ReportPeaks,
     SamePlace,
     SearchBounds,

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Argument, Option
 
 from skyline.cache import store_of
+from skyline.camera import Projection
 from skyline.cli.terminal import Terminal
 from skyline.errors import InputError, numbers_in, swapped_in_words
 from skyline.geodesy.bounds import are_degrees
@@ -170,6 +171,21 @@ def curvature_of(terrain: "HeightField", refraction_k: float | None) -> Curvatur
     """Return the curvature of a terrain's world, with another refraction if one is given."""
     usual = terrain.frame.curvature
     return usual if refraction_k is None else replace(usual, refraction_k=refraction_k)
+
+
+PhotoProjection = Annotated[
+    Projection | None,
+    panel("The photos")(
+        "--projection",
+        help="Projection of a panorama, usually cylindrical, or fisheye.",
+        show_default="from the photo's XMP, else perspective",
+    ),
+]
+POSE = Option(
+    "--pose",
+    metavar="FILE.json",
+    help="The camera's position and direction, as `match --json` and `orient --json` print them.",
+)
 
 
 def parse_bounds(text: str) -> "Bounds":

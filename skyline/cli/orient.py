@@ -11,6 +11,7 @@ from skyline.cli.options import (
     AsJson,
     Crs,
     Dem,
+    PhotoProjection,
     output_option,
     panel,
     parse_position,
@@ -23,7 +24,6 @@ from skyline.cli.photo_options import (
     Heading,
     HeadingSlack,
     HeightSd,
-    PhotoProjection,
     PixelSd,
     heading_of,
 )

@@ -6,8 +6,7 @@ from typing import Annotated
 import typer
 from typer import Argument, Option
 
-from skyline.cli.options import Crs, Dem, output_option
-from skyline.cli.photo_options import PhotoProjection
+from skyline.cli.options import Crs, Dem, PhotoProjection, output_option
 from skyline.cli.terminal import Terminal
 from skyline.tasks.ortho import OrthoTask, lay_photos
 

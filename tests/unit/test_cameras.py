@@ -203,7 +203,7 @@ def test_a_program_that_shrinks_a_photo_makes_no_crop_mode():
     }  # fmt: skip
     found = lens_of(tags, (3408, 2272))
     assert found.fov_deg == pytest.approx(54.4, abs=0.1)
-    assert "which that sensor is not" in found.reason
+    assert "and that sensor is not" in found.reason
     same = lens_of(tags | {Base.DateTime: "2024:05:01 10:00:02"}, (3408, 2272))
     assert same.fov_deg == pytest.approx(35.5, abs=0.1)
 

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from skyline.match.likelihood import ErrorModel, HeightErrors, likelihood
+from skyline.match.likelihood import HeightErrors, likelihood
+from skyline.terrain.height_errors import HEIGHT_REACH_M
 
 
 def _setting(nodes=6, columns=40):
@@ -35,14 +36,14 @@ def test_height_errors_have_the_stated_covariance_at_their_nodes():
     point = (distance * np.exp(1j * azimuth))[0]
 
     def correlation(d):
-        x = d * 2.1461932 / ErrorModel().reach_m
+        x = d * 2.1461932 / HEIGHT_REACH_M
         return (1.0 + x) * np.exp(-x)
 
     eye = correlation(np.abs(point))
     expected = correlation(np.abs(point[:, None] - point)) + 1.0 - eye[:, None] - eye
     expected /= distance[0][:, None] * distance[0]
     np.testing.assert_allclose(errors.factor[0] @ errors.factor[0].T, expected, atol=1e-11)
-    assert correlation(ErrorModel().reach_m) == pytest.approx(np.exp(-1.0))
+    assert correlation(HEIGHT_REACH_M) == pytest.approx(np.exp(-1.0))
 
 
 def _converged(residual, errors, magnified=1.0, scale=1.0):

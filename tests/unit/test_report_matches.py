@@ -84,7 +84,7 @@ def test_the_overlay_draws_both_skylines_where_they_are():
     image = pixels(draw_overlay(SKYLINE, photo, BEST, SIGHT)[0])
     assert image.shape[1] == WIDTH_PX
     assert HEIGHT_PX < len(image) < HEIGHT_PX + 60
-    found, rendered = like(image, (255, 45, 111)), like(image, (0, 224, 255))
+    found, rendered = like(image, (255, 210, 63)), like(image, (53, 208, 255))
     columns = np.flatnonzero(SKYLINE.trusted)[::25]
     rows = np.rint(SKYLINE.row_px[columns]).astype(int)
     near = [found[max(r - 3, 0) : r + 4, c].any() for r, c in zip(rows, columns, strict=True)]
@@ -94,7 +94,7 @@ def test_the_overlay_draws_both_skylines_where_they_are():
     assert rendered[:450, 215:365].any(axis=0).mean() > 0.8
     assert image[450:470, 230:350].mean() > image[450:470, 600:700].mean() + 5.0
     bare = pixels(draw_overlay(SKYLINE, photo, BEST)[0])
-    assert not like(bare, (0, 224, 255)).any()
+    assert not like(bare, (53, 208, 255)).any()
 
 
 def report(folder, results, matcher=MATCHER, peaks=None, photos=None, done=""):
@@ -200,8 +200,8 @@ def test_a_browser_shows_the_page(tmp_path):
     seen = pixels(shot.read_bytes())
     # The overlay's canvas and both its lines, then the map below it, then the table's text.
     overlay, below = seen[150:750], seen[850:1600]
-    assert like(overlay, (255, 45, 111), 120).sum() > 300
-    assert like(overlay, (0, 224, 255), 120).sum() > 300
+    assert like(overlay, (255, 210, 63), 120).sum() > 300
+    assert like(overlay, (53, 208, 255), 120).sum() > 300
     assert below.std() > 20.0
     assert like(below, (209, 16, 61)).sum() > 100
 
