@@ -29,7 +29,10 @@ COMMANDS = {
     "match": (("{store}", "{trace}", "--matcher", "unrefined"), "tasks.match.Matcher"),
     "label": ((*POSED, "--peaks", "{peaks}", "-o", "{out}.png"), "tasks.label.read_dem"),
     "pixels": ((*POSED, "--step", "40", "-o", "{out}.npz"), "tasks.pixels.read_dem"),
-    "draw": ((*POSED, "--vectors", "{drawn}", "-o", "{out}.kml"), "tasks.draw.read_dem"),
+    "draw": (
+        (*POSED, "--vectors", "{drawn}", "--quiet", "-o", "{out}.kml"),  # its pose has no errors
+        "tasks.draw.read_dem",
+    ),
     "ortho": ((*POSED, "-o", "{out}.tif"), "tasks.ortho.read_dem"),
     "orient": (("{trace}", *PLACED, "-o", "{out}.csv"), "orient.read_terrain"),
     "locate": (
