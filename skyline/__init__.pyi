@@ -58,6 +58,9 @@ from .store.mapped_places import PlaceMap as PlaceMap
 from .store.places import Places as Places
 from .store.read import Store as Store
 from .store.read import open_store as open_store
+from .sun import Body as Body
+from .sun import InSky as InSky
+from .sun import Sky as Sky
 from .survey.build import BuildResult as BuildResult
 from .survey.build import build_places as build_places
 from .survey.build import build_uniform as build_uniform
@@ -70,6 +73,7 @@ from .terrain.viewpoints import Viewpoints as Viewpoints
 from .terrain.viewpoints import stand_at as stand_at
 from .terrain.viewpoints import stand_on as stand_on
 from .view import PixelPlaces as PixelPlaces
+from .view import SeenBody as SeenBody
 from .view import SeenPeak as SeenPeak
 from .view import Sight as Sight
 from .view import Viewer as Viewer

@@ -7,8 +7,8 @@ import numpy as np
 import typer
 from typer import Option
 
-from skyline.cli.options import output_option
-from skyline.cli.photo_options import FieldOfView, PhotoFile, PhotoProjection
+from skyline.cli.options import PhotoProjection, output_option
+from skyline.cli.photo_options import FieldOfView, PhotoFile
 from skyline.cli.terminal import Terminal
 from skyline.errors import check_suffix, suffix_of
 from skyline.files import check_outputs

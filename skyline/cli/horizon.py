@@ -7,9 +7,11 @@ import typer
 from typer import Option
 
 from skyline.cli.options import (
+    POSE,
     Crs,
     Dems,
     EyeHeight,
+    PhotoProjection,
     RefractionK,
     SummitWithin,
     SurfaceFiles,
@@ -18,13 +20,11 @@ from skyline.cli.options import (
     parse_position,
     read_terrain,
 )
-from skyline.cli.photo_options import POSE, PhotoProjection
 from skyline.cli.terminal import Terminal
 from skyline.errors import InputError
 from skyline.files import STANDARD, check_outputs
 from skyline.horizons import DEFAULT_STEP_DEG, horizons_of, steps_a_turn
 from skyline.report.horizon_files import horizon_csv, kind_of_horizons, write_horizons
-from skyline.tasks.photo_horizon import PhotoHorizonTask, photo_horizon
 from skyline.tasks.standing import stand_with_notes, warn_of_border
 from skyline.terrain.surface_model import read_surface
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, read_viewpoints
@@ -94,6 +94,11 @@ def horizon(
     terrain = read_terrain(terminal, dem, crs)
     curvature = curvature_of(terrain, refraction_k)
     if photo is not None and pose is not None:
+        from skyline.tasks.photo_horizon import (  # noqa: PLC0415  (slow to load)
+            PhotoHorizonTask,
+            photo_horizon,
+        )
+
         task = PhotoHorizonTask(
             photo=photo, pose=pose, step_deg=step_deg, curvature=curvature, projection=projection
         )

@@ -6,16 +6,22 @@ from typing import Annotated
 import typer
 from typer import Option
 
-from skyline.cli.options import PEAKS, Crs, Dem, output_option, parse_position
-from skyline.cli.photo_options import (
+from skyline.cli.options import (
+    PEAKS,
     POSE,
+    Crs,
+    Dem,
+    PhotoProjection,
+    output_option,
+    parse_position,
+)
+from skyline.cli.photo_options import (
     CameraElevation,
     CameraPosition,
     FieldOfView,
     Heading,
     HeadingSlack,
     PhotoFile,
-    PhotoProjection,
     heading_of,
 )
 from skyline.cli.terminal import Terminal

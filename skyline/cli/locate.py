@@ -8,14 +8,13 @@ from typer import Argument, Option
 
 from skyline.batch import entries_of
 from skyline.cli.dem import TileSource
-from skyline.cli.options import DEM_ABOUT, AsJson
+from skyline.cli.options import DEM_ABOUT, AsJson, PhotoProjection
 from skyline.cli.photo_options import (
     CameraHeight,
     FieldOfView,
     Heading,
     HeadingSlack,
     Near,
-    PhotoProjection,
     SamePlace,
     SearchBounds,
     UseGps,

@@ -7,14 +7,21 @@ import typer
 from typer import Argument, Option
 
 from skyline.batch import entries_of
-from skyline.cli.options import AsJson, StoreDem, StoreFile, SurfaceFiles, Workers, panel
+from skyline.cli.options import (
+    AsJson,
+    PhotoProjection,
+    StoreDem,
+    StoreFile,
+    SurfaceFiles,
+    Workers,
+    panel,
+)
 from skyline.cli.photo_options import (
     CameraHeight,
     FieldOfView,
     Heading,
     HeadingSlack,
     Near,
-    PhotoProjection,
     SamePlace,
     SearchBounds,
     UseGps,

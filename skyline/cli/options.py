@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Option
 
+from skyline.camera import Projection
 from skyline.cli.terminal import Terminal
 from skyline.errors import InputError, numbers_of, swapped_in_words
 from skyline.geodesy.bounds import are_degrees
@@ -117,6 +118,20 @@ Spacing = Annotated[
 PEAKS = Option(
     "--peaks", metavar="FILE", help="Peaks to name: GeoJSON, or CSV: name,lon,lat[,height_m]."
 )
+
+POSE = Option(
+    "--pose",
+    metavar="FILE.json",
+    help="The camera's position and direction, as `match --json` and `orient --json` print them.",
+)
+PhotoProjection = Annotated[
+    Projection | None,
+    panel("The photos")(
+        "--projection",
+        help="Projection of a panorama, usually cylindrical, or fisheye.",
+        show_default="from the photo's XMP, else perspective",
+    ),
+]
 
 EyeHeight = Annotated[
     float, Option("--eye-height", metavar="M", help="Height of the eye, metres above the ground.")

@@ -7,14 +7,21 @@ import typer
 from typer import Argument, Option
 
 from skyline.batch import Entry, entries_of, usable_entries
-from skyline.cli.options import AsJson, Crs, Dem, output_option, parse_position, read_terrain
+from skyline.cli.options import (
+    AsJson,
+    Crs,
+    Dem,
+    PhotoProjection,
+    output_option,
+    parse_position,
+    read_terrain,
+)
 from skyline.cli.photo_options import (
     CameraElevation,
     CameraPosition,
     FieldOfView,
     Heading,
     HeadingSlack,
-    PhotoProjection,
     heading_of,
 )
 from skyline.cli.terminal import Terminal

@@ -29,14 +29,6 @@ FieldOfView = Annotated[
         show_default="from the photo's EXIF or XMP",
     ),
 ]
-PhotoProjection = Annotated[
-    Projection | None,
-    _known(
-        "--projection",
-        help="Projection of a panorama, usually cylindrical, or fisheye.",
-        show_default="from the photo's XMP, else perspective",
-    ),
-]
 CameraPosition = Annotated[
     str | None,
     Option(
@@ -55,11 +47,6 @@ CameraElevation = Annotated[
         show_default="on the ground, or at the height that the photo notes",
     ),
 ]
-POSE = Option(
-    "--pose",
-    metavar="FILE.json",
-    help="The camera's position and direction, as `match --json` and `orient --json` print them.",
-)
 
 # What is known of a photo that is searched for
 Near = Annotated[

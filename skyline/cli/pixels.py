@@ -7,8 +7,8 @@ import numpy as np
 import typer
 from typer import Option
 
-from skyline.cli.options import Crs, Dem, output_option
-from skyline.cli.photo_options import POSE, PhotoFile, PhotoProjection
+from skyline.cli.options import POSE, Crs, Dem, PhotoProjection, output_option
+from skyline.cli.photo_options import PhotoFile
 from skyline.cli.terminal import Terminal
 from skyline.tasks.pixels import PixelsTask, place_pixels
 from skyline.view import PIXEL_FILES

@@ -9,8 +9,8 @@ from typing import Annotated, Any
 import typer
 from typer import Option
 
-from skyline.cli.options import AsJson, Crs, Dem
-from skyline.cli.photo_options import POSE, PhotoFile, PhotoProjection
+from skyline.cli.options import POSE, AsJson, Crs, Dem, PhotoProjection
+from skyline.cli.photo_options import PhotoFile
 from skyline.cli.terminal import Terminal
 from skyline.errors import InputError
 from skyline.geodesy.bounds import in_turn
