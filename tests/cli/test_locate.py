@@ -91,8 +91,8 @@ def test_the_cache_is_listed_and_cleared_but_for_other_files(run, cache):
     said = run("cache").out
     assert said.startswith(f"{area['folder']}: tiles: 1,")
     assert "areas: 1," in said
-    places = json.loads(run("info", area["folder"], "--json").out)["rows"]
-    assert places == skyline.Matcher(prepare_area(Area.around([PLACE], 1.5, 1.5)).store).rows
+    assert json.loads(run("info", area["folder"], "--json").out)["kind"] == "store"
+    assert run("store", "check", area["folder"]).code == 0
     (cache / "mine.txt").write_text("not of skyline")
     assert "areas removed: 1," in run("cache", "--clear").out
     assert [path.name for path in cache.rglob("*") if path.is_file()] == ["mine.txt"]
