@@ -20,7 +20,7 @@ from skyline.view import SeenBody, SeenPeak, Sight
 
 _FOUND_COLOUR = "#ffd23f"
 _RENDERED_COLOUR = "#35d0ff"
-_DRAWN_COLOUR = "#ffd21f"
+_DRAWN_COLOUR = "#ffd23f"
 """Of the sun, the moon and lines of the map."""
 _DPI = 100.0
 _ROW_PX = 21.0

@@ -69,8 +69,8 @@ def test_the_annual_loss_of_the_page_is_that_of_the_plain_computation(valley):
     with chdir(valley), redirect_stdout(printed):
         exec(compile(block.text, PAGE.name, "exec"), names)
     place = names["place"]
-    assert place.elevation_deg[0, 360] == pytest.approx(25.2, abs=1.0)
-    loss = plain_loss(place.elevation_deg[0], place.eye_elevation_m[0], 30.0, 180.0)
+    assert place.elevation_deg[360] == pytest.approx(25.2, abs=1.0)
+    loss = plain_loss(place.elevation_deg, float(place.eye_elevation_m), 30.0, 180.0)
     assert 0.05 < loss < 0.4
     assert names["loss"] == pytest.approx(loss, abs=0.002)
     assert f"{100.0 * names['loss']:.1f} %" in printed.getvalue()
