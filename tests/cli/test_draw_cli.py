@@ -119,7 +119,7 @@ def test_the_map_is_drawn_into_the_photo(draw, vectors, photo, tmp_path, suffix)
     draw(vectors, there).ok()
     draw(there, out).ok()
     if suffix == ".svg":
-        assert "#ffd21f" in out.read_text()
+        assert "#ffd23f" in out.read_text()
     else:
         with Image.open(out) as picture, Image.open(photo) as taken:
             assert picture.width / picture.height == pytest.approx(taken.width / taken.height, 0.01)
