@@ -142,7 +142,8 @@ def run_bench(run_main):
 def one_degree(tmp_path_factory):
     """A folder with the tile of the degree 9 E, 46 N, and a photo from its middle."""
     folder = tmp_path_factory.mktemp("degree")
-    heights = 1500.0 + fractal(240, 240, 1200.0, seed=5)
+    # Samples are 460 m apart, so only high mountains are told apart for sure.
+    heights = 2700.0 + fractal(240, 240, 2400.0, seed=5)
     (folder / "dem.tif").write_bytes(degree_tile(heights, 9, 46))
     terrain = read_dem(folder / "dem.tif")
     take_photo(folder / "photo.jpg", terrain, stand_at(terrain, lon=9.5, lat=46.5))

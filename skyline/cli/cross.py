@@ -1,6 +1,5 @@
 """``skyline cross``: where the same thing stands in two or more photos."""
 
-import json
 import math
 from pathlib import Path
 from typing import Annotated, Any
@@ -35,7 +34,7 @@ def cross(
     It may stand above the ground, as smoke does. The answer has its standard
     errors, and says whether the rays meet at all.
     """
-    terminal = Terminal.of(context)
+    terminal = Terminal.of(context, as_json)
     task = CrossTask(
         photos=photos,
         poses=pose,
@@ -44,15 +43,11 @@ def cross(
         crs=crs,
     )
     found = cross_photos(task, terminal)
-    if as_json:
-        terminal.line(json.dumps(_record(found)))
-        return
-    for line in _lines(found):
-        terminal.line(line)
+    terminal.result(_record(found), _in_words(found))
 
 
-def _lines(found: Crossed) -> list[str]:
-    """Return the answer in words."""
+def _in_words(found: Crossed) -> str:
+    """Return the answer in lines of words."""
     at = found.crossing
     east_m, north_m, up_m = np.sqrt(np.diag(at.covariance_m2)).tolist()
     ground = ""
@@ -62,12 +57,13 @@ def _lines(found: Crossed) -> list[str]:
     meets = f"the rays meet: {chance}"
     if not at.meets:
         meets = f"the rays miss each other: {chance}; check that all pixels show the same thing"
-    return [
+    lines = [
         f"{found.lon:.6f},{found.lat:.6f}, {at.elevation_m:.0f} m high{ground}; give or take "
         f"{east_m:.0f} m east, {north_m:.0f} m north and {up_m:.0f} m up",
         meets,
         f"standard errors that no pose's file has: {found.assumed}",
     ]
+    return "\n".join(lines)
 
 
 def _record(found: Crossed) -> dict[str, Any]:

@@ -1,6 +1,5 @@
 """``skyline when``: the time of a photo by its sun or a shadow, or its heading."""
 
-import json
 import math
 from dataclasses import asdict
 from pathlib import Path
@@ -56,7 +55,7 @@ def when(
     With the time in place of the day, tell the camera's heading. Each answer has
     its standard error. The extra `sun` is needed.
     """
-    terminal = Terminal.of(context)
+    terminal = Terminal.of(context, as_json)
     given = {"--sun": sun, "--moon": moon, "--shadow": shadow}
     marks = {name: text for name, text in given.items() if text is not None}
     if len(marks) != 1:
@@ -75,24 +74,21 @@ def when(
         projection=projection,
     )
     told = tell_when(task, terminal)
-    if as_json:
-        terminal.line(json.dumps(_record(told)))
-        return
-    for line in _lines(told):
-        terminal.line(line)
-    if told.assumed:
-        terminal.line(f"the pose has no standard errors of its own for: {told.assumed}")
+    terminal.result(_record(told), "\n".join(_lines(told)))
 
 
 def _lines(told: Told) -> list[str]:
-    """Return the answer in words."""
+    """Return the answer in words, and what was assumed for it."""
+    assumed = (
+        [f"the pose has no standard errors of its own for: {told.assumed}"] if told.assumed else []
+    )
     if told.heading is None:
         return [
             f"{one.time:%Y-%m-%d %H:%M:%S} UTC, give or take {one.sd_s / 60.0:.1f} minutes: "
             f"azimuth {one.azimuth_deg:.2f}, elevation {one.elevation_deg:.2f} degrees, "
             f"{one.off_sds:.1f} standard errors aside"
             for one in told.times
-        ]
+        ] + assumed
     found = told.heading
     apart_deg = float(in_turn(told.pose.heading_deg - found.heading_deg))
     sds = abs(apart_deg) / math.hypot(found.sd_deg, told.errors.heading_sd_deg)
@@ -103,7 +99,8 @@ def _lines(told: Told) -> list[str]:
     )
     return [
         f"heading {found.heading_deg:.2f} +- {found.sd_deg:.2f} from true north; the pose's is "
-        f"{told.pose.heading_deg:.2f}, {sds:.1f} standard errors away{higher}"
+        f"{told.pose.heading_deg:.2f}, {sds:.1f} standard errors away{higher}",
+        *assumed,
     ]
 
 
