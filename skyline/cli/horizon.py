@@ -77,13 +77,7 @@ def horizon(
     the skyline of a photo where the photo shows one.
     """
     terminal = Terminal.of(context)
-    if bool(at) + (viewpoints is not None) + (photo is not None) != 1:
-        raise InputError(
-            "give positions as --at LON,LAT or as --viewpoints FILE.csv, or a --photo with its "
-            "--pose"
-        )
-    if (photo is None) != (pose is None):
-        raise InputError("one of --photo and --pose is given; expected both or neither")
+    _check_places(at, viewpoints, photo, pose)
     if photo is not None and surface:
         raise InputError("--photo shows trees and houses itself; leave --surface out")
     check_outputs([output], filter(None, [viewpoints, photo, pose]))
@@ -117,3 +111,16 @@ def horizon(
     else:
         write_horizons(found, output)
     warn_of_border(found)
+
+
+def _check_places(
+    at: list[str] | None, viewpoints: Path | None, photo: Path | None, pose: Path | None
+) -> None:
+    """Raise `InputError` unless one kind of places is given, and a pose with a photo alone."""
+    if bool(at) + (viewpoints is not None) + (photo is not None) != 1:
+        raise InputError(
+            "give positions as --at LON,LAT or as --viewpoints FILE.csv, or a --photo with its "
+            "--pose"
+        )
+    if (photo is None) != (pose is None):
+        raise InputError("one of --photo and --pose is given; expected both or neither")

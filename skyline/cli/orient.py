@@ -35,6 +35,7 @@ from skyline.orientation import DEFAULT_POSITION_SD_M, Orientation
 from skyline.tables import csv_lines
 from skyline.tasks.orient import CameraAt, orient_photos
 from skyline.tasks.points import PointsTask, orient_by_points
+from skyline.terrain.heightfield import HeightField
 
 _by_points = panel("Control points")
 
@@ -106,12 +107,10 @@ def orient(
         heading_deg=heading_of(heading, heading_slack),
     )
     if points is not None:
-        if len(photo) != 1:
-            raise InputError(f"--points is of one photo, and {len(photo)} are given; give one")
         if output is not None:
             raise InputError("-o writes a table of many photos; leave it out: --json prints a pose")
         task = PointsTask(
-            photo=photo[0],
+            photo=_only_one(photo),
             points=points,
             dem=dem,
             crs=crs,
@@ -133,6 +132,24 @@ def orient(
         check_suffix(output, [".csv"])
     usable_entries(entries)  # Refused before the DEM is read, if none is usable
     terrain = read_terrain(terminal, dem, crs)
+    raise typer.Exit(_orient_each(terminal, terrain, entries, stood, output))
+
+
+def _only_one(photos: list[Path]) -> Path:
+    """Return the photo of control points; raises `InputError` for several."""
+    if len(photos) != 1:
+        raise InputError(f"--points is of one photo, and {len(photos)} are given; give one")
+    return photos[0]
+
+
+def _orient_each(
+    terminal: Terminal,
+    terrain: HeightField,
+    entries: list[Entry],
+    stood: CameraAt,
+    output: Path | None,
+) -> int:
+    """Print and write the orientation of each photo; return the exit code."""
     rows: list[dict[str, Any]] = []
     exit_code = 0
     oriented = 0
@@ -150,7 +167,7 @@ def orient(
             progress(len(rows), len(entries))
     if output is not None and oriented:
         write_whole(output, _csv(rows))
-    raise typer.Exit(exit_code)
+    return exit_code
 
 
 def _print(terminal: Terminal, entry: Entry, found: Orientation, output: Path | None) -> None:
