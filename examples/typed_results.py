@@ -1,4 +1,4 @@
-"""What a type checker knows of results: mypy checks this file strictly, as `make check` does.
+"""The types of results: `make check` lets mypy check this file strictly.
 
 It is not for running: python -m mypy --strict examples/typed_results.py
 """

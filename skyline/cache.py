@@ -187,7 +187,7 @@ def store_of(path: Path) -> Path:
 
 
 def title_of(store: Path) -> str:
-    """Return what a person calls a store: the name of its file, or the bounds of its area."""
+    """Return the name of a store: its file's, or the bounds of a kept area."""
     bounds = _bounds_of(store.parent.name) if store.name == _STORE else None
     return store.name if bounds is None else "area " + ",".join(f"{one:.2f}" for one in bounds)
 

@@ -1,4 +1,4 @@
-"""What is drawn in made photos, on the ground, and poses from control points.
+"""The errors of drawings laid on the ground, and of poses from control points.
 
 Photos see the elevation model with errors of 10 m rms added, and are matched, within 2 km of their
 places, in a store of the model itself. Polygons of 5 to 11 vertices and 15 to 45 pixels of radius
@@ -55,7 +55,7 @@ _ERRORS = GroundErrors(pixel_sd_px=1.0, height_sd_m=HEIGHT_SD_M)
 _EXACT = PointErrors(pixel_sd_px=0.5, place_sd_m=0.5, height_sd_m=HEIGHT_SD_M)
 _POINTS = 6
 _WIDE_PX = 4000
-"""Columns of the photos of control points, as of cameras."""
+"""Width, in pixels, of the photos in which control points are marked."""
 _LANDMARK_M = 1000.0
 """Least distance of control points."""
 

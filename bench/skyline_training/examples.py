@@ -337,8 +337,8 @@ def with_lenses(queries: Iterable[SyntheticQuery], seed: int) -> list[SyntheticQ
 def _noted_alone(fov_deg: float, rng: np.random.Generator) -> Lens:
     """Return the lens of a photo with one value in EXIF.
 
-    The value notes the true field of view with an error, or that of a photo which was cropped to
-    what is true.
+    The value is the true field of view with an error. Of a cropped photo it is the field of view
+    before the crop.
     """
     tangent = math.tan(math.radians(fov_deg) / 2.0) * math.exp(NOMINAL_SD * rng.standard_normal())
     if rng.uniform() < CROP_SHARES.resized:
