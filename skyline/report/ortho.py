@@ -6,7 +6,7 @@ photos show has the colours of the photo that shows it with the finest pixels.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -115,6 +115,8 @@ def grid_of(views: Sequence[GroundView], resolution_m: float | None = None) -> G
 
 def _detail(view: GroundView) -> tuple[Float64Array, Float64Array]:
     """Return the places (N, 2) of some pixels, and their greatest lengths on the ground."""
+    # How long a pixel is does not depend on how well the pose is known.
+    view = replace(view, covariance=np.zeros_like(view.covariance))
     camera = view.camera
     step = max(1.0, math.sqrt(camera.width_px * camera.height_px / _SETTINGS.samples))
     row, column = np.mgrid[0 : camera.height_px : step, 0 : camera.width_px : step]

@@ -1,6 +1,8 @@
 """The time and the heading that the sun and shadows tell, with their errors."""
 
+from dataclasses import replace
 from datetime import UTC, date, datetime, timedelta
+from functools import cache
 
 import numpy as np
 import pytest
@@ -8,16 +10,13 @@ from scenes import candidate_at, field_from
 
 from skyline.camera import Projection
 from skyline.errors import InputError
+from skyline.geodesy.bounds import in_turn
 from skyline.geodesy.earth import Curvature
+from skyline.ground import GroundErrors
 from skyline.photo.skyline import PhotoSkyline
 from skyline.sun import Body, Sky
-from skyline.sun_clock import (
-    PointingErrors,
-    body_pointing,
-    heading_at,
-    shadow_pointing,
-    times_at,
-)
+from skyline.sun_clock import body_pointing, heading_at, shadow_pointing, times_at
+from skyline.view import Viewer
 
 pytest.importorskip("ephem")
 
@@ -30,16 +29,16 @@ PHOTO = PhotoSkyline(
 )  # fmt: skip
 DAY = date(2026, 3, 1)
 MORNING = datetime(2026, 3, 1, 8, 0, tzinfo=UTC)
-SURE = PointingErrors(
-    heading_sd_deg=0.01, pitch_sd_deg=0.01, roll_sd_deg=0.01, fov_sd_deg=0.01, pixel_sd_px=0.1
-)
+SURE = GroundErrors(pixel_sd_px=0.1)
+FIRM = np.diag(np.square([5.0, 5.0, 2.0, *np.radians([0.1, 0.05, 0.05]), 3e-3, 3e-3]))
 
 
-def camera_at(pitch_deg=0.0, heading_deg=120.0):
-    return candidate_at(
+def camera_at(pitch_deg=0.0, heading_deg=120.0, covariance=FIRM):
+    pose = candidate_at(
         0.0, 0.0, heading_deg, pitch_deg=pitch_deg, fov_deg=60.0, eye_elevation_m=600.0,
         frame=PLAIN.frame,
     )  # fmt: skip
+    return replace(pose, covariance=tuple(map(tuple, covariance.tolist())))
 
 
 def sky_of(pose):
@@ -63,17 +62,57 @@ def test_the_sun_in_a_photo_tells_the_time():
 
 
 def test_an_error_of_the_heading_is_an_error_of_the_time():
-    pose = camera_at(pitch_deg=10.0)
+    sds = [0.0, 0.0, 0.0, *np.radians([0.5, 5.0, 0.0]), 0.0]
+    pose = camera_at(pitch_deg=10.0, covariance=np.diag(np.square(sds)))
     sun, later = (sky_of(pose).look(Body.SUN, MORNING + timedelta(minutes=m)) for m in (0, 10))
-    errors = PointingErrors(
-        heading_sd_deg=0.5, pitch_sd_deg=5.0, roll_sd_deg=0.0, fov_sd_deg=0.0, pixel_sd_px=0.0
-    )
     pixel = pixel_of(pose, sun.azimuth_deg, sun.elevation_deg)
-    pointing = body_pointing(pose, PHOTO, pixel, errors)
+    pointing = body_pointing(pose, PHOTO, pixel, SURE)
     # A pitch that nobody knows leaves the azimuth alone, and the sun's azimuth grows evenly.
     expected_s = 600.0 * 0.5 / (later.azimuth_deg - sun.azimuth_deg)
     found = times_at(pointing, sky_of(pose), Body.SUN, DAY, pose.lon)[0]
     assert found.sd_s == pytest.approx(expected_s, rel=0.3)
+
+
+def perturbed(pose, off):
+    """Return a pose that is off by all its unknowns (8,)."""
+    half = np.tan(np.radians(pose.fov_deg / 2.0)) * np.exp(off[6])
+    return replace(
+        pose,
+        easting_m=pose.easting_m + off[0],
+        northing_m=pose.northing_m + off[1],
+        eye_elevation_m=pose.eye_elevation_m + off[2],
+        heading_deg=pose.heading_deg + np.degrees(off[3]),
+        pitch_deg=pose.pitch_deg + np.degrees(off[4]),
+        roll_deg=pose.roll_deg + np.degrees(off[5]),
+        fov_deg=2.0 * np.degrees(np.arctan(half)),
+        distortion=pose.distortion + off[7],
+    )
+
+
+def test_times_and_headings_err_as_they_say_where_poses_are_drawn():
+    rng = np.random.default_rng(8)
+    # A camera that is aside is turned, and one that is zoomed is bent.
+    root = np.sqrt(FIRM) @ rng.normal(0.0, 0.4, (8, 8))
+    pose = camera_at(pitch_deg=10.0, covariance=root @ root.T)
+    sky = sky_of(pose)
+    sun = sky.look(Body.SUN, MORNING)
+
+    class Kept:
+        look = staticmethod(cache(sky.look))
+
+    off_s, sd_s, off_sds, pose_sds = [], [], [], []
+    for _ in range(200):
+        true = perturbed(pose, root @ rng.standard_normal(8))
+        pixel = pixel_of(true, sun.azimuth_deg, sun.elevation_deg) + rng.normal(0.0, 1.0, 2)
+        pointing = body_pointing(pose, PHOTO, tuple(pixel))
+        found = times_at(pointing, Kept, Body.SUN, DAY, pose.lon)[0]
+        off_s.append((found.time - MORNING).total_seconds())
+        sd_s.append(found.sd_s)
+        held = heading_at(pose, pointing, Kept, Body.SUN, MORNING)
+        off_sds.append(in_turn(held.heading_deg - true.heading_deg) / held.sd_deg)
+        pose_sds.append(held.off_sds)
+    for errors in (np.divide(off_s, sd_s), off_sds, pose_sds):
+        assert 0.90 <= np.mean(np.abs(errors) <= 2.0) <= 0.98
 
 
 def test_the_sun_at_a_known_time_tells_the_heading():
@@ -87,6 +126,10 @@ def test_the_sun_at_a_known_time_tells_the_heading():
     assert found.above_deg == pytest.approx(0.0, abs=0.01)
     with pytest.raises(InputError, match="below the horizon at 2026-03-01 22:00 UTC"):
         heading_at(pose, pointing, sky_of(pose), Body.SUN, datetime(2026, 3, 1, 22, tzinfo=UTC))
+
+
+def view_of(pose):
+    return Viewer(PLAIN, curvature=FLAT).ground_view(pose, PHOTO)
 
 
 def shadow_pixels(pose, sun, top_m):
@@ -110,7 +153,7 @@ def test_a_shadow_tells_the_time_and_its_error(count):
     pose = camera_at(pitch_deg=-25.0)
     sun = sky_of(pose).look(Body.SUN, MORNING)
     shadow = shadow_pixels(pose, sun, 20.0)[:count]
-    pointing = shadow_pointing(PLAIN, FLAT, pose, PHOTO, shadow, PointingErrors())
+    pointing = shadow_pointing(view_of(pose), pose, shadow)
     assert pointing.azimuth_deg == pytest.approx(sun.azimuth_deg, abs=0.05)
     assert np.isnan(pointing.elevation_deg) == (count == 2)
     found = times_at(pointing, sky_of(pose), Body.SUN, DAY, pose.lon)[0]
@@ -121,9 +164,7 @@ def test_a_shadow_tells_the_time_and_its_error(count):
 def test_a_shadow_across_a_flat_view_tells_nothing():
     pose = camera_at(pitch_deg=-25.0)
     with pytest.raises(InputError, match="its direction"):
-        shadow_pointing(
-            PLAIN, FLAT, pose, PHOTO, [(500.0, 300.0), (501.0, 300.0)], PointingErrors()
-        )
+        shadow_pointing(view_of(pose), pose, [(500.0, 300.0), (501.0, 300.0)])
 
 
 def test_a_body_that_does_not_rise_or_passes_elsewhere_is_said():
