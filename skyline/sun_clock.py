@@ -39,8 +39,6 @@ _LEAST_SD_DEG = 0.01
 """The ephemeris and the frame are not better."""
 _PENUMBRA_SD_DEG = 0.15
 """A shadow fades over the width of the sun's disc, 0.5 degrees; its end is seen within that."""
-_LEAST_LENGTH_M = 1e-3
-"""A shorter shadow has no direction, and nothing is divided by less."""
 _NEWTON_STEPS = 4
 _MINUTE_S = 60.0
 
@@ -149,13 +147,10 @@ def body_pointing(
     elevation_rad = math.atan(seen.elevation_tan[0])
     by = np.concatenate([seen.by_pose[0], seen.by_pixel[0]], axis=1)
     by[1] *= math.cos(elevation_rad) ** 2  # Radians a tangent.
-    return _pointing(
-        float(seen.azimuth_rad[0]) + math.radians(pose.convergence_deg),
-        elevation_rad,
-        by,
-        block_diag(of_pose, sd_px**2 * np.eye(2)),
-        (_LEAST_SD_DEG, _LEAST_SD_DEG),
-    )
+    covariance = block_diag(of_pose, sd_px**2 * np.eye(2))
+    spreads = [one @ covariance @ one.T for one in (by, _headless(by))]
+    azimuth_rad = float(seen.azimuth_rad[0]) + math.radians(pose.convergence_deg)
+    return _pointing(azimuth_rad, elevation_rad, *spreads, (_LEAST_SD_DEG, _LEAST_SD_DEG))
 
 
 def shadow_pointing(
@@ -189,22 +184,19 @@ def shadow_pointing(
             f"one of the pixels {_named(tip)} and {_named(foot)} shows sky at this pose; give "
             "pixels of the ground, the tip of the shadow first and then the foot of what casts it"
         )
-    up_m, by_up = _toward_sun(view, ground, top)
-    east_m, north_m, rise_m = up_m.tolist()
-    length_m = max(math.hypot(east_m, north_m), _LEAST_LENGTH_M)
-    by_azimuth = np.array([north_m, -east_m, 0.0]) / length_m**2
-    by_elevation = np.array([-rise_m * east_m, -rise_m * north_m, length_m**2])
-    by_elevation /= length_m * (length_m**2 + rise_m**2)
-    alike = height_correlation(length_m * (1.0 - np.eye(2)))
+    way_m, by = _toward_sun(view, ground, top)
+    azimuth_rad, elevation_rad = _angles(way_m).tolist()
+    apart_m = float(np.hypot(*way_m[:UP]))
+    covariance = block_diag(
+        view.covariance,
+        errors.pixel_sd_px**2 * np.eye(6),
+        errors.height_sd_on(view.terrain) ** 2 * height_correlation(apart_m * (1.0 - np.eye(2))),
+    )
+    spreads = [_spread(way_m, one @ covariance @ one.T) for one in (by, _headless(by))]
     found = _pointing(
-        math.atan2(east_m, north_m) + math.radians(pose.convergence_deg),
-        math.atan2(rise_m, length_m) if len(shadow) > 2 else math.nan,
-        np.stack([by_azimuth, by_elevation]) @ by_up,
-        block_diag(
-            view.covariance,
-            errors.pixel_sd_px**2 * np.eye(6),
-            errors.height_sd_on(view.terrain) ** 2 * alike,
-        ),
+        azimuth_rad + math.radians(pose.convergence_deg),
+        elevation_rad if len(shadow) > 2 else math.nan,
+        *spreads,
         (_LEAST_SD_DEG, _PENUMBRA_SD_DEG),
     )
     if found.azimuth_sd_deg > _WIDEST_SD_DEG:
@@ -245,29 +237,54 @@ def _toward_sun(
     return way, by[1] - by[0]
 
 
+def _headless(by: Float64Array) -> Float64Array:
+    """Return derivatives (R, K) by unknowns of a pose and others, 0 by the heading."""
+    return np.where(np.arange(by.shape[1]) == HEADING, 0.0, by)
+
+
+def _angles(way_m: Float64Array) -> Float64Array:
+    """Return azimuths and elevations (..., 2) of ways (..., 3), radians."""
+    east, north, up = np.moveaxis(way_m, -1, 0)
+    return np.stack([np.arctan2(east, north), np.arctan2(up, np.hypot(east, north))], axis=-1)
+
+
+def _spread(way_m: Float64Array, covariance_m2: Float64Array) -> Float64Array:
+    """Return the covariance (2, 2) of a way's azimuth and elevation, radians.
+
+    Errors of the ground's heights are a large part of a shadow's length, so its angles are no
+    straight lines in them. Six ways beside it have the way's covariance, and nearly the fourth
+    moments of a normal distribution: they are the square root of 3 standard errors away.
+    """
+    variance_m2, axes = np.linalg.eigh(covariance_m2)
+    aside_m = np.sqrt(3.0 * np.maximum(variance_m2, 0.0)) * axes
+    beside = _angles(way_m + np.concatenate([aside_m.T, -aside_m.T]))
+    off = (beside - _angles(way_m) + np.pi) % (2.0 * np.pi) - np.pi
+    return np.asarray(off.T @ off / len(off))
+
+
 def _pointing(
     azimuth_rad: float,
     elevation_rad: float,
-    by: Float64Array,
-    covariance: Float64Array,
+    spread: Float64Array,
+    from_axis: Float64Array,
     least_sd_deg: tuple[float, float],
 ) -> Pointing:
     """Return a direction from true north, with its errors.
 
-    ``by`` (2, K) are derivatives of azimuth and elevation, radians, by unknowns of the pose and
-    others, whose ``covariance`` (K, K) is known; ``least_sd_deg`` are errors besides.
+    ``spread`` and ``from_axis`` (2, 2) are covariances of azimuth and elevation, radians, with the
+    heading's error and without; ``least_sd_deg`` are errors besides.
     """
     least_deg2 = np.diag(np.square(least_sd_deg))
-    by_deg = np.degrees(by)
-    spread_deg2 = by_deg @ covariance @ by_deg.T + least_deg2
+    whole_deg2, from_axis_deg2 = (
+        np.degrees(np.degrees(one)) + least_deg2 for one in (spread, from_axis)
+    )
     if math.isnan(elevation_rad):
-        spread_deg2 = np.diag([spread_deg2[0, 0], np.inf])
-    from_axis = np.where(np.arange(by.shape[1]) == HEADING, 0.0, by_deg[0])
+        whole_deg2 = np.diag([whole_deg2[0, 0], np.inf])
     return Pointing(
         azimuth_deg=math.degrees(azimuth_rad) % 360.0,
         elevation_deg=math.degrees(elevation_rad),
-        covariance=spread_deg2,
-        from_axis_sd_deg=math.sqrt(from_axis @ covariance @ from_axis + least_deg2[0, 0]),
+        covariance=whole_deg2,
+        from_axis_sd_deg=math.sqrt(from_axis_deg2[0, 0]),
     )
 
 
