@@ -3,13 +3,13 @@
 A pixel of the sun's or the moon's disc gives a direction. A shadow's tip and foot give an azimuth:
 whatever stands upright casts its shadow away from the sun, however tall it is and whatever the
 ground's slope. The top of what casts the shadow gives the elevation, too. The direction's errors
-follow to first order from those of the pose, of the pixels and of the ground's heights, and the
-sun's path of the day turns them into a time's.
+follow from those of the pose, of the pixels and of the ground's heights, and the sun's path of the
+day turns them into a time's.
 """
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import date, datetime, timedelta
 
 import numpy as np
@@ -144,13 +144,15 @@ def body_pointing(
     of_pose = pose.covariance_or_assumed(photo)
     seen = Bearings.of(camera, [pixel[0]], [pixel[1]], len(of_pose))
     sd_px = (errors or GroundErrors()).pixel_sd_px
-    elevation_rad = math.atan(seen.elevation_tan[0])
-    by = np.concatenate([seen.by_pose[0], seen.by_pixel[0]], axis=1)
-    by[1] *= math.cos(elevation_rad) ** 2  # Radians a tangent.
-    covariance = block_diag(of_pose, sd_px**2 * np.eye(2))
-    spreads = [one @ covariance @ one.T for one in (by, _headless(by))]
-    azimuth_rad = float(seen.azimuth_rad[0]) + math.radians(pose.convergence_deg)
-    return _pointing(azimuth_rad, elevation_rad, *spreads, (_LEAST_SD_DEG, _LEAST_SD_DEG))
+    changes = np.concatenate([seen.by_pose[0], seen.by_pixel[0]], axis=1)
+    sine, cosine = np.sin(seen.azimuth_rad[0]), np.cos(seen.azimuth_rad[0])
+    return _pointing(
+        np.array([sine, cosine, seen.elevation_tan[0]]),
+        np.array([[cosine, 0.0], [-sine, 0.0], [0.0, 1.0]]) @ changes,
+        block_diag(of_pose, sd_px**2 * np.eye(2)),
+        pose.convergence_deg,
+        np.array([_LEAST_SD_DEG, _LEAST_SD_DEG]),
+    )
 
 
 def shadow_pointing(
@@ -185,20 +187,22 @@ def shadow_pointing(
             "pixels of the ground, the tip of the shadow first and then the foot of what casts it"
         )
     way_m, by = _toward_sun(view, ground, top)
-    azimuth_rad, elevation_rad = _angles(way_m).tolist()
     apart_m = float(np.hypot(*way_m[:UP]))
-    covariance = block_diag(
-        view.covariance,
-        errors.pixel_sd_px**2 * np.eye(6),
-        errors.height_sd_on(view.terrain) ** 2 * height_correlation(apart_m * (1.0 - np.eye(2))),
-    )
-    spreads = [_spread(way_m, one @ covariance @ one.T) for one in (by, _headless(by))]
+    alike = height_correlation(apart_m * (1.0 - np.eye(2)))
     found = _pointing(
-        azimuth_rad + math.radians(pose.convergence_deg),
-        elevation_rad if len(shadow) > 2 else math.nan,
-        *spreads,
-        (_LEAST_SD_DEG, _PENUMBRA_SD_DEG),
+        way_m,
+        by,
+        block_diag(
+            view.covariance,
+            errors.pixel_sd_px**2 * np.eye(6),
+            errors.height_sd_on(view.terrain) ** 2 * alike,
+        ),
+        pose.convergence_deg,
+        np.array([_LEAST_SD_DEG, _PENUMBRA_SD_DEG]),
     )
+    if len(shadow) == 2:
+        azimuth_only = np.diag([found.covariance[0, 0], np.inf])
+        found = replace(found, elevation_deg=math.nan, covariance=azimuth_only)
     if found.azimuth_sd_deg > _WIDEST_SD_DEG:
         raise InputError(
             f"the shadow is {math.dist(tip, foot):.0f} pixels long, and too flat to the view for "
@@ -212,8 +216,8 @@ def _toward_sun(
 ) -> tuple[Float64Array, Float64Array]:
     """Return the way (3,) from a shadow's tip to its top, metres, and its derivatives (3, P + 8).
 
-    ``ground`` is that of tip and foot; the top stands over the foot. The derivatives are by the
-    pose, the pixels of tip, foot and top, and the errors of the ground's heights at tip and foot.
+    ``ground`` has tip and foot; the top stands over the foot. The derivatives are by the pose, the
+    pixels of tip, foot and top, and the errors of the ground's heights at tip and foot.
     """
     tip, foot = ((ground.easting_m[k], ground.northing_m[k], ground.elevation_m[k]) for k in (0, 1))
     known = len(view.covariance)
@@ -237,55 +241,50 @@ def _toward_sun(
     return way, by[1] - by[0]
 
 
-def _headless(by: Float64Array) -> Float64Array:
-    """Return derivatives (R, K) by unknowns of a pose and others, 0 by the heading."""
-    return np.where(np.arange(by.shape[1]) == HEADING, 0.0, by)
+def _pointing(
+    way: Float64Array,
+    by: Float64Array,
+    covariance: Float64Array,
+    convergence_deg: float,
+    least_sd_deg: Float64Array,
+) -> Pointing:
+    """Return the direction of a way (3,) to the east, to the north and up, with its errors.
+
+    ``by`` (3, K) are the way's derivatives by the unknowns of a pose and others, of which
+    ``covariance`` (K, K) is known. The direction has the errors ``least_sd_deg`` (2,), besides.
+    """
+    azimuth_deg, elevation_deg = np.degrees(_angles(way)).tolist()
+    no_heading = np.where(np.arange(by.shape[1]) == HEADING, 0.0, by)
+    least_deg2 = np.diag(np.square(least_sd_deg))
+    spread_deg2, from_axis_deg2 = (
+        _spread_deg2(way, one @ covariance @ one.T) + least_deg2 for one in (by, no_heading)
+    )
+    return Pointing(
+        azimuth_deg=(azimuth_deg + convergence_deg) % 360.0,
+        elevation_deg=elevation_deg,
+        covariance=spread_deg2,
+        from_axis_sd_deg=math.sqrt(from_axis_deg2[0, 0]),
+    )
 
 
-def _angles(way_m: Float64Array) -> Float64Array:
+def _angles(way: Float64Array) -> Float64Array:
     """Return azimuths and elevations (..., 2) of ways (..., 3), radians."""
-    east, north, up = np.moveaxis(way_m, -1, 0)
+    east, north, up = np.moveaxis(way, -1, 0)
     return np.stack([np.arctan2(east, north), np.arctan2(up, np.hypot(east, north))], axis=-1)
 
 
-def _spread(way_m: Float64Array, covariance_m2: Float64Array) -> Float64Array:
-    """Return the covariance (2, 2) of a way's azimuth and elevation, radians.
+def _spread_deg2(way: Float64Array, covariance: Float64Array) -> Float64Array:
+    """Return the covariance (2, 2) of a way's azimuth and elevation.
 
-    Errors of the ground's heights are a large part of a shadow's length, so its angles are no
-    straight lines in them. Six ways beside it have the way's covariance, and nearly the fourth
-    moments of a normal distribution: they are the square root of 3 standard errors away.
+    A shadow may be no longer than a few of its errors, which come from the ground's heights, so
+    its angles do not grow evenly with them. Six ways beside it stand for all: they have the way's
+    covariance, and the fourth moments of a normal distribution, at the root of 3 standard errors.
     """
-    variance_m2, axes = np.linalg.eigh(covariance_m2)
-    aside_m = np.sqrt(3.0 * np.maximum(variance_m2, 0.0)) * axes
-    beside = _angles(way_m + np.concatenate([aside_m.T, -aside_m.T]))
-    off = (beside - _angles(way_m) + np.pi) % (2.0 * np.pi) - np.pi
-    return np.asarray(off.T @ off / len(off))
-
-
-def _pointing(
-    azimuth_rad: float,
-    elevation_rad: float,
-    spread: Float64Array,
-    from_axis: Float64Array,
-    least_sd_deg: tuple[float, float],
-) -> Pointing:
-    """Return a direction from true north, with its errors.
-
-    ``spread`` and ``from_axis`` (2, 2) are covariances of azimuth and elevation, radians, with the
-    heading's error and without; ``least_sd_deg`` are errors besides.
-    """
-    least_deg2 = np.diag(np.square(least_sd_deg))
-    whole_deg2, from_axis_deg2 = (
-        np.degrees(np.degrees(one)) + least_deg2 for one in (spread, from_axis)
-    )
-    if math.isnan(elevation_rad):
-        whole_deg2 = np.diag([whole_deg2[0, 0], np.inf])
-    return Pointing(
-        azimuth_deg=math.degrees(azimuth_rad) % 360.0,
-        elevation_deg=math.degrees(elevation_rad),
-        covariance=whole_deg2,
-        from_axis_sd_deg=math.sqrt(from_axis_deg2[0, 0]),
-    )
+    variance, axes = np.linalg.eigh(covariance)
+    aside = np.sqrt(3.0 * np.maximum(variance, 0.0)) * axes
+    beside = _angles(way + np.concatenate([aside.T, -aside.T]))
+    off_deg = in_turn(np.degrees(beside - _angles(way)))
+    return np.asarray(off_deg.T @ off_deg / len(off_deg))
 
 
 def times_at(pointing: Pointing, sky: Sky, body: Body, day: date, lon: float) -> list[ClockTime]:
