@@ -110,6 +110,7 @@ def _record(told: Told) -> dict[str, Any]:
     return {
         "heading_deg": found.heading_deg,
         "heading_sd_deg": found.sd_deg,
+        "off_sds": found.off_sds,
         "above_deg": above,
         "assumed": told.assumed,
     }
