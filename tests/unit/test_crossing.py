@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import candidate_at
+from scenes import candidate_at, perturbed
 
 from skyline.crossing import Ray, cross
 from skyline.errors import InputError
@@ -104,22 +104,6 @@ def drawn_root(rng, across):
     root[3, :2] = -across @ root[:2, :2] / skyline_m
     root[4, 2] = -root[2, 2] / skyline_m
     return root
-
-
-def perturbed(pose, off):
-    """Return a pose that is off by all its unknowns (8,)."""
-    half = np.tan(np.radians(pose.fov_deg / 2.0)) * np.exp(off[6])
-    return replace(
-        pose,
-        easting_m=pose.easting_m + off[0],
-        northing_m=pose.northing_m + off[1],
-        eye_elevation_m=pose.eye_elevation_m + off[2],
-        heading_deg=pose.heading_deg + np.degrees(off[3]),
-        pitch_deg=pose.pitch_deg + np.degrees(off[4]),
-        roll_deg=pose.roll_deg + np.degrees(off[5]),
-        fov_deg=2.0 * np.degrees(np.arctan(half)),
-        distortion=pose.distortion + off[7],
-    )
 
 
 def test_crossings_err_as_they_say_where_poses_are_drawn():

@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from scenes import candidate_at, field_from
+from scenes import candidate_at, field_from, perturbed
 
 from skyline.camera import Projection
 from skyline.errors import InputError
@@ -71,22 +71,6 @@ def test_an_error_of_the_heading_is_an_error_of_the_time():
     expected_s = 600.0 * 0.5 / (later.azimuth_deg - sun.azimuth_deg)
     found = times_at(pointing, sky_of(pose), Body.SUN, DAY, pose.lon)[0]
     assert found.sd_s == pytest.approx(expected_s, rel=0.3)
-
-
-def perturbed(pose, off):
-    """Return a pose that is off by all its unknowns (8,)."""
-    half = np.tan(np.radians(pose.fov_deg / 2.0)) * np.exp(off[6])
-    return replace(
-        pose,
-        easting_m=pose.easting_m + off[0],
-        northing_m=pose.northing_m + off[1],
-        eye_elevation_m=pose.eye_elevation_m + off[2],
-        heading_deg=pose.heading_deg + np.degrees(off[3]),
-        pitch_deg=pose.pitch_deg + np.degrees(off[4]),
-        roll_deg=pose.roll_deg + np.degrees(off[5]),
-        fov_deg=2.0 * np.degrees(np.arctan(half)),
-        distortion=pose.distortion + off[7],
-    )
 
 
 def test_times_and_headings_err_as_they_say_where_poses_are_drawn():
