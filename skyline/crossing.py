@@ -107,7 +107,7 @@ def cross(
     place_m = _nearest(seen)
     _check_ahead(place_m, seen)
     for _ in range(_ROUNDS):
-        normal, pull, misfit = _fit(place_m, seen, curvature)
+        normal, pull, _ = _fit(place_m, seen, curvature)
         step_m = np.linalg.solve(normal, pull)
         place_m = place_m + step_m
         if np.abs(step_m).max() < _SETTLED_M:
@@ -176,9 +176,10 @@ class _Seen:
         return np.asarray(by_pose @ self.covariance @ by_pose.T + self.of_pixel)
 
     def off(self, place_m: Float64Array, curvature: Curvature) -> tuple[Float64Array, Float64Array]:
-        """Return how far the ray is off a place's direction (2,), and its slopes by place (2, 3).
+        """Return how far (2,) the ray is off a place's direction.
 
-        Radians of azimuth and tangents of elevation.
+        The second result (2, 3) has the derivatives of that direction by the place. Azimuths are in
+        radians, elevations are tangents.
         """
         east, north, up = place_m - self.eye_m
         away = np.hypot(east, north)
@@ -198,7 +199,7 @@ class _Seen:
 def _fit(
     place_m: Float64Array, seen: Sequence[_Seen], curvature: Curvature
 ) -> tuple[Float64Array, Float64Array, float]:
-    """Return the normal matrix at a place, the pull (3,) on it, and the squared misfits."""
+    """Return the normal matrix at a place, the pull, and the squared misfits."""
     normal, pull, misfit = np.zeros((3, 3)), np.zeros(3), 0.0
     for one in seen:
         off, slopes = one.off(place_m, curvature)

@@ -198,16 +198,17 @@ class Pose:
         )
 
     def covariance_or_assumed(self, photo: PhotoSkyline) -> Float64Array:
-        """Return `covariance` (P, P); where it is not known, the assumed one of a person's pose.
+        """Return `covariance` (P, P), or where it is None the assumed one.
 
-        Of ``photo`` the size and the projection count. See `skyline.pose_errors.AssumedErrors`.
+        A person wrote such a pose: see `skyline.pose_errors.AssumedErrors`. The size and the
+        projection of ``photo`` count.
         """
         if self.covariance is None:
             return ASSUMED.covariance(self.camera(photo))
         return np.array(self.covariance)
 
     def assumed(self, photo: PhotoSkyline) -> str:
-        """Return the standard errors that are assumed, in words; empty if they are known."""
+        """Return assumed standard errors in words; empty if the covariance is known."""
         return "" if self.covariance is not None else ASSUMED.in_words(self.camera(photo))
 
     def distance_m(self, other: "Pose") -> float:

@@ -44,7 +44,7 @@ class AssumedErrors:
         )
 
     def covariance(self, camera: Camera) -> Float64Array:
-        """Return the covariance (7, 7) of a camera's pose, with the first rows of a known one."""
+        """Return the covariance (7, 7) of the unknowns of a camera's pose."""
         half_width = camera.projection.half_width(camera.fov_deg)
         narrower = camera.projection.half_width(camera.fov_deg * (1.0 - self._fov_share(camera)))
         sds = [self.position_sd_m, self.position_sd_m, self.elevation_sd_m]

@@ -214,10 +214,11 @@ def shadow_pointing(
 def _toward_sun(
     view: GroundView, ground: GroundPoints, top: Pixel
 ) -> tuple[Float64Array, Float64Array]:
-    """Return the way (3,) from a shadow's tip to its top, metres, and its derivatives (3, P + 8).
+    """Return the way (3,) from a shadow's tip to its top, metres.
 
-    ``ground`` has tip and foot; the top stands over the foot. The derivatives are by the pose, the
-    pixels of tip, foot and top, and the errors of the ground's heights at tip and foot.
+    ``ground`` has tip and foot; the top stands over the foot. The second result (3, P + 8) has the
+    way's derivatives by the pose, by the pixels of tip, foot and top, and by the errors of the
+    ground's heights at tip and foot.
     """
     tip, foot = ((ground.easting_m[k], ground.northing_m[k], ground.elevation_m[k]) for k in (0, 1))
     known = len(view.covariance)
@@ -248,9 +249,9 @@ def _pointing(
     convergence_deg: float,
     least_sd_deg: Float64Array,
 ) -> Pointing:
-    """Return the direction of a way (3,) to the east, to the north and up, with its errors.
+    """Return the direction of a way, with its errors.
 
-    ``by`` (3, K) are the way's derivatives by the unknowns of a pose and others, of which
+    The way (3,) leads to the east, to the north and up; ``by`` (3, K) are the way's derivatives by the unknowns of a pose and others, of which
     ``covariance`` (K, K) is known. The direction has the errors ``least_sd_deg`` (2,), besides.
     """
     azimuth_deg, elevation_deg = np.degrees(_angles(way)).tolist()

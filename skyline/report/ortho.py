@@ -115,7 +115,7 @@ def grid_of(views: Sequence[GroundView], resolution_m: float | None = None) -> G
 
 
 def place_sd_m(views: Sequence[GroundView], grid: Grid) -> float:
-    """Return the median standard error of places that cameras see on a grid, metres."""
+    """Return the median standard error of places on a grid, metres."""
     errors_m = []
     for view in views:
         column_px, row_px = _sample(view.camera)
@@ -139,7 +139,7 @@ def _sample(camera: Camera) -> tuple[Float64Array, Float64Array]:
 
 
 def _exact(view: GroundView, column_px: Float64Array, row_px: Float64Array) -> GroundPoints:
-    """Return the ground of pixels as if the pose and the model were known exactly.
+    """Return the ground of pixels, with pose and model taken for exact.
 
     The length of a pixel on the ground does not depend on how well they are known.
     """
@@ -148,7 +148,7 @@ def _exact(view: GroundView, column_px: Float64Array, row_px: Float64Array) -> G
 
 
 def _lengths_m(points: GroundPoints) -> Float64Array:
-    """Return the greatest lengths (N,) of pixels on the ground; infinite for sky."""
+    """Return the greatest lengths (N,) of pixels; infinite for sky."""
     lengths_m = np.full(len(points), np.inf)
     by_pixel = points.by_pixel[~points.is_sky, :2]
     lengths_m[~points.is_sky] = np.linalg.svd(by_pixel, compute_uv=False)[:, 0]

@@ -162,7 +162,7 @@ def shown_pose(noted: NotedPose, viewer: Viewer, listener: Listener) -> Pose:
 
 
 def assumed_lines(*assumed: str) -> list[str]:
-    """Return a line on errors that are assumed, of `Pose.assumed`; none where all are known."""
+    """Return a line on errors that `Pose.assumed` names; none where all are known."""
     words = "; ".join(dict.fromkeys(filter(None, assumed)))
     return [f"errors assumed, since no covariance is given: {words}"] if words else []
 
