@@ -1,9 +1,12 @@
 """Where the rays of two or more photos cross, and whether they meet at all.
 
 Each photo has a pose, and a pixel of the same thing. The place is the one whose directions from the
-cameras differ least from the pixels', in their standard errors; light bends as for skylines.
+cameras differ least from the pixels', in their standard errors; light bends as for skylines. A
+pose that is wrong in its place is mostly turned, too, so a difference has the errors of all of the
+pose's unknowns together.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -14,8 +17,10 @@ from skyline.arrays import Float64Array
 from skyline.errors import InputError
 from skyline.geodesy.bounds import in_turn
 from skyline.geodesy.earth import Curvature
+from skyline.ground import GroundErrors
+from skyline.photo.skyline import PhotoSkyline
 from skyline.pose import Pose
-from skyline.sun_clock import Pointing
+from skyline.pose_errors import HEADING, Bearings
 
 LEAST_PROBABILITY = 0.01
 """Rays that would pass as far apart more seldom than this, if they met, are said to miss."""
@@ -27,24 +32,21 @@ _SETTLED_M = 1e-3
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ray:
-    """A ray from a camera.
+    """A ray from a camera through a pixel.
 
     Attributes
     ----------
     pose : Pose
-        The camera.
-    pointing : Pointing
-        Direction from true north, with its errors.
-    position_sd_m : float
-        Standard error of the camera's easting, and of its northing.
-    height_sd_m : float
-        Standard error of its elevation.
+        The camera, with its errors.
+    photo : PhotoSkyline
+        Its size and projection count.
+    pixel : (float, float)
+        Column and row.
     """
 
     pose: Pose
-    pointing: Pointing
-    position_sd_m: float
-    height_sd_m: float
+    photo: PhotoSkyline
+    pixel: tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -76,13 +78,17 @@ class Crossing:
         return self.probability >= LEAST_PROBABILITY
 
 
-def cross(rays: Sequence[Ray], curvature: Curvature) -> Crossing:
+def cross(
+    rays: Sequence[Ray], curvature: Curvature, errors: GroundErrors | None = None
+) -> Crossing:
     """Return where rays cross.
 
     Parameters
     ----------
     rays : sequence of Ray
         Two or more, of cameras in one frame.
+    errors : GroundErrors, optional
+        The error of a pixel; that of the model's heights does not count.
 
     Raises
     ------
@@ -95,46 +101,122 @@ def cross(rays: Sequence[Ray], curvature: Curvature) -> Crossing:
             f"{len(rays)} ray was given; expected two photos or more of the same thing (for where "
             "one photo's ray meets the ground, use `skyline pixels`)"
         )
-    eyes_m = np.array(
-        [(one.pose.easting_m, one.pose.northing_m, one.pose.eye_elevation_m) for one in rays]
-    )
-    seen_deg = np.array(
-        [
-            (one.pointing.azimuth_deg - one.pose.convergence_deg, one.pointing.elevation_deg)
-            for one in rays
-        ]
-    )
-    _check_apart(rays, seen_deg[:, 0])
-    place_m = _nearest(eyes_m, seen_deg)
-    _check_ahead(place_m, eyes_m, seen_deg[:, 0])
+    sd_px = (errors or GroundErrors()).pixel_sd_px
+    seen = [_Seen.of(ray, sd_px) for ray in rays]
+    _check_apart(seen)
+    place_m = _nearest(seen)
+    _check_ahead(place_m, seen)
     for _ in range(_ROUNDS):
-        off_deg, slopes = _off(place_m, eyes_m, seen_deg, curvature)
-        weights = np.array([_weight(ray, slope) for ray, slope in zip(rays, slopes, strict=True)])
-        normal = np.einsum("nia,nij,njb->ab", slopes, weights, slopes)
-        pull = np.einsum("nia,nij,nj->a", slopes, weights, off_deg)
+        normal, pull, _ = _fit(place_m, seen, curvature)
         step_m = np.linalg.solve(normal, pull)
         place_m = place_m + step_m
         if np.abs(step_m).max() < _SETTLED_M:
             break
-    _check_ahead(place_m, eyes_m, seen_deg[:, 0])
-    off_deg, _ = _off(place_m, eyes_m, seen_deg, curvature)
-    misfit = float(np.einsum("ni,nij,nj->", off_deg, weights, off_deg))
+    _check_ahead(place_m, seen)
+    normal, _, misfit = _fit(place_m, seen, curvature)
     return Crossing(
         easting_m=float(place_m[0]),
         northing_m=float(place_m[1]),
         elevation_m=float(place_m[2]),
-        covariance_m2=np.linalg.inv(normal),
+        covariance_m2=np.asarray(np.linalg.inv(normal), dtype=np.float64),
         chi_square=misfit,
         probability=float(chi2.sf(misfit, 2 * len(rays) - 3)),
     )
 
 
-def _check_apart(rays: Sequence[Ray], azimuth_deg: Float64Array) -> None:
+@dataclass(frozen=True, slots=True, eq=False)
+class _Seen:
+    """What a camera sees in its pixel."""
+
+    eye_m: Float64Array
+    """(3,) float64. Easting, northing and elevation."""
+    azimuth_rad: float
+    elevation_tan: float
+    by_pose: Float64Array
+    """(2, P) float64. As in `Bearings`."""
+    covariance: Float64Array
+    """(P, P) float64. As `Pose.covariance`."""
+    of_pixel: Float64Array
+    """(2, 2) float64. Covariance of azimuth and tangent that is due to the pixel."""
+
+    @classmethod
+    def of(cls, ray: Ray, pixel_sd_px: float) -> "_Seen":
+        pose = ray.pose
+        covariance = pose.covariance_or_assumed(ray.photo)
+        column_px, row_px = ray.pixel
+        seen = Bearings.of(pose.camera(ray.photo), [column_px], [row_px], len(covariance))
+        by_pixel = pixel_sd_px * seen.by_pixel[0]
+        return cls(
+            eye_m=np.array([pose.easting_m, pose.northing_m, pose.eye_elevation_m]),
+            azimuth_rad=float(seen.azimuth_rad[0]),
+            elevation_tan=float(seen.elevation_tan[0]),
+            by_pose=seen.by_pose[0],
+            covariance=covariance,
+            of_pixel=by_pixel @ by_pixel.T,
+        )
+
+    @property
+    def ahead(self) -> Float64Array:
+        """The direction (3,) of the ray, level of length 1."""
+        return np.array([np.sin(self.azimuth_rad), np.cos(self.azimuth_rad), self.elevation_tan])
+
+    @property
+    def azimuth_sd_rad(self) -> float:
+        """Standard error of the azimuth."""
+        return float(np.sqrt(self.spread(np.zeros((2, 3)))[0, 0]))
+
+    def spread(self, by_place: Float64Array) -> Float64Array:
+        """Return the covariance (2, 2) of how far a place is off the ray.
+
+        ``by_place`` (2, 3) are the derivatives of the place's direction by the place: an eye that
+        moves the other way has them, too.
+        """
+        by_pose = self.by_pose.copy()
+        by_pose[:, :HEADING] += by_place
+        return np.asarray(by_pose @ self.covariance @ by_pose.T + self.of_pixel)
+
+    def off(self, place_m: Float64Array, curvature: Curvature) -> tuple[Float64Array, Float64Array]:
+        """Return how far (2,) the ray is off a place's direction.
+
+        The second result (2, 3) has the derivatives of that direction by the place. Azimuths are in
+        radians, elevations are tangents.
+        """
+        east, north, up = place_m - self.eye_m
+        away = np.hypot(east, north)
+        tangent = (up - float(curvature.drop_m(away))) / away
+        turn = math.remainder(self.azimuth_rad - math.atan2(east, north), 2.0 * math.pi)
+        # The tangent's slope by distance, the drop included.
+        by_away = -tangent / away - 2.0 * curvature.drop_per_m2
+        slopes = np.array(
+            [
+                [north / away**2, -east / away**2, 0.0],
+                [by_away * east / away, by_away * north / away, 1.0 / away],
+            ]
+        )
+        return np.array([turn, self.elevation_tan - tangent]), slopes
+
+
+def _fit(
+    place_m: Float64Array, seen: Sequence[_Seen], curvature: Curvature
+) -> tuple[Float64Array, Float64Array, float]:
+    """Return the normal matrix at a place, the pull, and the squared misfits."""
+    normal, pull, misfit = np.zeros((3, 3)), np.zeros(3), 0.0
+    for one in seen:
+        off, slopes = one.off(place_m, curvature)
+        weight = np.linalg.inv(one.spread(slopes))
+        normal += slopes.T @ weight @ slopes
+        pull += slopes.T @ weight @ off
+        misfit += float(off @ weight @ off)
+    return normal, pull, misfit
+
+
+def _check_apart(seen: Sequence[_Seen]) -> None:
     """Raise `InputError` if all rays are parallel within their errors."""
-    first, second = np.triu_indices(len(rays), 1)
+    first, second = np.triu_indices(len(seen), 1)
+    azimuth_deg = np.degrees([one.azimuth_rad for one in seen])
     apart_deg = np.abs(in_turn(azimuth_deg[first] - azimuth_deg[second]))
     apart_deg = np.minimum(apart_deg, 180.0 - apart_deg)
-    sd_deg = np.array([one.pointing.azimuth_sd_deg for one in rays])
+    sd_deg = np.degrees([one.azimuth_sd_rad for one in seen])
     error_deg = np.hypot(sd_deg[first], sd_deg[second])
     best = int(np.argmax(apart_deg / error_deg))
     if apart_deg[best] < _LEAST_ANGLE_SDS * error_deg[best]:
@@ -144,12 +226,10 @@ def _check_apart(rays: Sequence[Ray], azimuth_deg: Float64Array) -> None:
         )
 
 
-def _check_ahead(place_m: Float64Array, eyes_m: Float64Array, azimuth_deg: Float64Array) -> None:
+def _check_ahead(place_m: Float64Array, seen: Sequence[_Seen]) -> None:
     """Raise `InputError` if a place is behind a camera."""
-    towards = place_m[:2] - eyes_m[:, :2]
-    azimuth_rad = np.radians(azimuth_deg)
-    ahead_m = towards[:, 0] * np.sin(azimuth_rad) + towards[:, 1] * np.cos(azimuth_rad)
-    if (ahead_m <= 0.0).any():
+    ahead_m = [float((place_m - one.eye_m)[:2] @ one.ahead[:2]) for one in seen]
+    if min(ahead_m) <= 0.0:
         number = int(np.argmin(ahead_m)) + 1
         raise InputError(
             f"the rays cross behind camera {number}, so they do not show the same thing; check the "
@@ -157,42 +237,11 @@ def _check_ahead(place_m: Float64Array, eyes_m: Float64Array, azimuth_deg: Float
         )
 
 
-def _nearest(eyes_m: Float64Array, seen_deg: Float64Array) -> Float64Array:
+def _nearest(seen: Sequence[_Seen]) -> Float64Array:
     """Return the place with the least distances from straight rays."""
-    azimuth, elevation = np.radians(seen_deg).T
-    flat = np.cos(elevation)
-    along = np.column_stack([flat * np.sin(azimuth), flat * np.cos(azimuth), np.sin(elevation)])
+    eyes_m = np.array([one.eye_m for one in seen])
+    along = np.array([one.ahead / np.linalg.norm(one.ahead) for one in seen])
     across = np.eye(3) - along[:, :, np.newaxis] * along[:, np.newaxis, :]
     middle = eyes_m.mean(axis=0)
     pull = np.einsum("nij,nj->i", across, eyes_m - middle)
     return np.asarray(middle + np.linalg.solve(across.sum(axis=0), pull))
-
-
-def _off(
-    place_m: Float64Array, eyes_m: Float64Array, seen_deg: Float64Array, curvature: Curvature
-) -> tuple[Float64Array, Float64Array]:
-    """Return how far directions are off a place's (N, 2), and their slopes by place (N, 2, 3).
-
-    Degrees of azimuth and elevation, and degrees a metre.
-    """
-    east, north, up = (place_m - eyes_m).T
-    away = np.hypot(east, north)
-    tangent = (up - curvature.drop_m(away)) / away
-    predicted_deg = np.degrees(np.column_stack([np.arctan2(east, north), np.arctan(tangent)]))
-    off_deg = seen_deg - predicted_deg
-    off_deg[:, 0] = in_turn(off_deg[:, 0])
-    # The tangent's slope by distance, the drop included.
-    by_away = -tangent / away - 2.0 * curvature.drop_per_m2
-    slopes = np.zeros((len(eyes_m), 2, 3))
-    slopes[:, 0, 0], slopes[:, 0, 1] = north / away**2, -east / away**2
-    scale = 1.0 / (1.0 + tangent**2)
-    slopes[:, 1, 0], slopes[:, 1, 1] = scale * by_away * east / away, scale * by_away * north / away
-    slopes[:, 1, 2] = scale / away
-    return off_deg, np.degrees(slopes)
-
-
-def _weight(ray: Ray, slope: Float64Array) -> Float64Array:
-    """Return the inverse covariance (2, 2) of a direction, the camera's position included."""
-    position_m2 = np.diag([ray.position_sd_m**2, ray.position_sd_m**2, ray.height_sd_m**2])
-    pointing = np.linalg.inv(ray.pointing.information)
-    return np.asarray(np.linalg.inv(pointing + slope @ position_m2 @ slope.T))

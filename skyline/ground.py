@@ -24,6 +24,7 @@ from skyline.camera import Camera
 from skyline.errors import InputError
 from skyline.geodesy.earth import Curvature
 from skyline.pose import ellipse_axes
+from skyline.pose_errors import EAST, NORTH, UP, Bearings
 from skyline.terrain.heightfield import HeightField, ground_of, ground_slope
 from skyline.terrain.ray_casting import first_hits_m
 from skyline.terrain.viewpoints import Viewpoints
@@ -31,8 +32,6 @@ from skyline.terrain.viewpoints import Viewpoints
 GRAZING = 0.05
 """A ray grazes the ground if it meets it at a slope below this, about 3 degrees: a metre of height
 moves the place by 20 m or more."""
-_EAST, _NORTH, _UP, _ANGLES = range(4)
-"""Columns of derivatives by a pose, as `skyline.pose.Pose.covariance` has them."""
 _SDS = 2.0
 """The rays beside a ray are so many standard errors away from it."""
 _LEAST_SD_RAD = 1e-4
@@ -53,6 +52,10 @@ class GroundErrors:
     """Standard deviation of a pixel's column and row: as well as a hand draws."""
     height_sd_m: float | None = None
     """Standard deviation of the model's heights; by default `HeightField.height_sd_m`."""
+
+    def height_sd_on(self, terrain: HeightField) -> float:
+        """Return the standard deviation of a terrain model's heights, metres."""
+        return terrain.height_sd_m if self.height_sd_m is None else self.height_sd_m
 
     def __post_init__(self) -> None:
         for name in ("pixel_sd_px", "height_sd_m"):
@@ -77,7 +80,7 @@ class GroundPoints(Rows):
     distance_m: Float64Array
     """(N,) float64. Horizontal distance from the camera."""
     by_pose: Float64Array
-    """(N, 3, P) float64. By the unknowns of `Pose.covariance`; P is 0 if that is not known."""
+    """(N, 3, P) float64. By the unknowns of `Pose.covariance`."""
     by_pixel: Float64Array
     """(N, 3, 2) float64. By a column to the right and a row down."""
     by_height: Float64Array
@@ -132,8 +135,8 @@ class GroundView:
     eye: Viewpoints
     """One eye."""
     camera: Camera
-    covariance: Float64Array | None = None
-    """(P, P) float64. As `Pose.covariance`; None where it is not known."""
+    covariance: Float64Array
+    """(P, P) float64. As `Pose.covariance`."""
 
     @cached_property
     def _step_rad(self) -> float:
@@ -170,24 +173,24 @@ class GroundView:
     ) -> GroundPoints:
         """Return the ground that N pixels show, with its errors."""
         errors = errors or GroundErrors()
-        height_sd_m = self.terrain.height_sd_m if errors.height_sd_m is None else errors.height_sd_m
-        azimuth_deg, tan = self.camera.directions(column_px, row_px)
-        azimuth = np.radians(azimuth_deg)
+        height_sd_m = errors.height_sd_on(self.terrain)
+        known = len(self.covariance)
+        bearings = Bearings.of(self.camera, column_px, row_px, known)
+        azimuth, tan = bearings.azimuth_rad, bearings.elevation_tan
         away_m = self.hits_m(azimuth, tan)
         place = self.at_m(azimuth, tan, away_m)
         ahead, aside = self._rises(azimuth, *place[:2])
-        turn, lift = self._changes(column_px, row_px)
-        known = 0 if self.covariance is None else len(self.covariance)
+        changes = np.concatenate([bearings.by_pose, bearings.by_pixel], axis=2)
+        turn, lift = changes[:, 0], changes[:, 1]
         # How much higher rays pass over the place, by pose and by pixel.
         over = away_m[:, np.newaxis] * (lift - aside[:, np.newaxis] * turn)
         sine, cosine = np.sin(azimuth), np.cos(azimuth)
-        over[:, _EAST] -= ahead * sine + aside * cosine
-        over[:, _NORTH] -= ahead * cosine - aside * sine
-        over[:, _UP] += 1.0
+        over[:, EAST] -= ahead * sine + aside * cosine
+        over[:, NORTH] -= ahead * cosine - aside * sine
+        over[:, UP] += 1.0
         of_pose, of_pixel = over[:, :known], over[:, -2:]
         variance_m2 = height_sd_m**2 + errors.pixel_sd_px**2 * (of_pixel**2).sum(axis=1)
-        if self.covariance is not None:
-            variance_m2 += np.einsum("np,pq,nq->n", of_pose, self.covariance, of_pose)
+        variance_m2 += np.einsum("np,pq,nq->n", of_pose, self.covariance, of_pose)
         falls = 2.0 * self.curvature.drop_per_m2 * away_m
         slope = self._mean_slope(azimuth, tan, away_m, ahead - tan - falls, np.sqrt(variance_m2))
         # Metres farther along the ray, to its right, and up.
@@ -196,16 +199,15 @@ class GroundView:
         rise = along * (tan + falls)[:, np.newaxis] + away_m[:, np.newaxis] * lift
         east = along * sine[:, np.newaxis] + right * cosine[:, np.newaxis]
         north = along * cosine[:, np.newaxis] - right * sine[:, np.newaxis]
-        east[:, _EAST] += 1.0
-        north[:, _NORTH] += 1.0
-        rise[:, _UP] += 1.0
+        east[:, EAST] += 1.0
+        north[:, NORTH] += 1.0
+        rise[:, UP] += 1.0
         change = np.stack([east, north, rise], axis=1)
         by_height = np.stack([-sine, -cosine, -(tan + falls)], axis=1) / slope[:, np.newaxis]
         by_pose, by_pixel = change[..., :known], change[..., -2:]
         covariance_m2 = height_sd_m**2 * by_height[..., np.newaxis] * by_height[:, np.newaxis]
         covariance_m2 += errors.pixel_sd_px**2 * by_pixel @ by_pixel.swapaxes(1, 2)
-        if self.covariance is not None:
-            covariance_m2 += by_pose @ self.covariance @ by_pose.swapaxes(1, 2)
+        covariance_m2 += by_pose @ self.covariance @ by_pose.swapaxes(1, 2)
         return GroundPoints(
             easting_m=place[0],
             northing_m=place[1],
@@ -246,18 +248,6 @@ class GroundView:
         east, north = ground_slope(ground_of(self.terrain), easting_m, northing_m).T
         sine, cosine = np.sin(azimuth_rad), np.cos(azimuth_rad)
         return east * sine + north * cosine, east * cosine - north * sine
-
-    def _changes(
-        self, column_px: Float64Array, row_px: Float64Array
-    ) -> tuple[Float64Array, Float64Array]:
-        """Return the changes (N, P + 2) of rays' azimuths and tangents, by pose and by pixel."""
-        turned, lifted = self.camera.changes(column_px, row_px)
-        by_pixel = self.camera.spans(column_px, row_px)
-        still = np.zeros((len(turned), _ANGLES))
-        return (
-            np.concatenate([still, turned, by_pixel[:, 0]], axis=1),
-            np.concatenate([still, lifted, by_pixel[:, 1]], axis=1),
-        )
 
     def _mean_slope(
         self,

@@ -200,9 +200,7 @@ class _Measured:
         self._positions = positions
         self._vertices = [len(ring) for ring in found.shape.rings]
         self._covariance = view.covariance
-        self._height_sd_m = view.terrain.height_sd_m
-        if errors.height_sd_m is not None:
-            self._height_sd_m = errors.height_sd_m
+        self._height_sd_m = errors.height_sd_on(view.terrain)
         self._pixel_sd_px = errors.pixel_sd_px
         middle = (np.mean(found.rings[0].easting_m), np.mean(found.rings[0].northing_m))
         self.scale = float(frame.scale(easting_m=middle[0], northing_m=middle[1]))
@@ -255,8 +253,7 @@ class _Measured:
             np.add.at(by_vertex, before % count, (1.0 - share) * by_point)
             np.add.at(by_vertex, (before + 1) % count, share * by_point)
             variance += self._pixel_sd_px**2 * float((by_vertex**2).sum())
-        if self._covariance is not None:
-            variance += float(by_pose @ self._covariance @ by_pose)
+        variance += float(by_pose @ self._covariance @ by_pose)
         points = GroundPoints.concatenate(list(self._rings))
         by_height = (np.concatenate(changes) * points.by_height[:, :2]).sum(axis=1)
         place = points.easting_m + 1j * points.northing_m

@@ -51,9 +51,6 @@ if TYPE_CHECKING:
     from pandas import DataFrame, Series
     from xarray import Dataset
 
-Place = int | tuple[int, ...] | None
-"""Index of one place; None takes the only one."""
-
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class LocalHorizons:
@@ -191,15 +188,15 @@ class LocalHorizons:
         """Return the sky view factors (...) of a surface; see `sky_view_factor`."""
         return sky_view_factor(self._azimuths_deg, self.elevation_deg, tilt_deg, facing_deg)
 
-    def sun_above(self, day: date | str, place: Place = None) -> list[Interval]:
-        """Return when part of the sun's disc is above one place's horizon.
+    def sun_above(self, day: date | str) -> list[Interval]:
+        """Return when part of the sun's disc is above the place's horizon.
+
+        Of several places take one first, as in ``horizons[0].sun_above(day)``.
 
         Parameters
         ----------
         day : date or str
             The 24 hours around noon of the mean sun at the eye; a text such as 2026-12-21.
-        place : int, optional
-            Index of the place; it may be left out if there is only one place.
 
         Returns
         -------
@@ -210,38 +207,36 @@ class LocalHorizons:
         Raises
         ------
         InputError
-            PyEphem is not installed, the horizon is unknown at some azimuth, one of several places
-            is not chosen, or the day is not a date from 1583 to 9998.
+            PyEphem is not installed, the horizon is unknown at some azimuth, there are several
+            places, or the day is not a date from 1583 to 9998.
         """
-        return self._above(Body.SUN, day, place)
+        return self._above(Body.SUN, day)
 
-    def moon_above(self, day: date | str, place: Place = None) -> list[Interval]:
-        """Return when part of the moon's disc, dark or lit, is above one place's horizon.
+    def moon_above(self, day: date | str) -> list[Interval]:
+        """Return when part of the moon's disc, dark or lit, is above the place's horizon.
 
         Parameters, times and errors as `sun_above`. The day is the sun's.
         """
-        return self._above(Body.MOON, day, place)
+        return self._above(Body.MOON, day)
 
-    def sky(self, place: Place = None) -> Sky:
-        """Return the sky over one place.
+    def sky(self) -> Sky:
+        """Return the sky over the place.
 
-        Raises `InputError` if PyEphem is not installed or one of several places is not chosen.
+        Raises `InputError` if PyEphem is not installed or there are several places.
         """
-        index = self._chosen(place)
-        at = self.lon[index], self.lat[index], self.eye_elevation_m[index]
-        return Sky(*map(float, at))
+        one = self._only
+        return Sky(float(one.lon), float(one.lat), float(one.eye_elevation_m))
 
-    def _above(self, body: Body, day: date | str, place: Place) -> list[Interval]:
-        day = day_of(day)
-        index = self._chosen(place)
+    def _above(self, body: Body, day: date | str) -> list[Interval]:
+        one = self._only
         return above(
-            day,
+            day_of(day),
             body,
-            lon=float(self.lon[index]),
-            lat=float(self.lat[index]),
-            eye_elevation_m=float(self.eye_elevation_m[index]),
-            azimuth_deg=self.azimuth_deg[index],
-            elevation_deg=self.elevation_deg[index],
+            lon=float(one.lon),
+            lat=float(one.lat),
+            eye_elevation_m=float(one.eye_elevation_m),
+            azimuth_deg=one.azimuth_deg,
+            elevation_deg=one.elevation_deg,
         )
 
     def plot(self, ax: Axes | None = None) -> Axes:
@@ -313,21 +308,15 @@ class LocalHorizons:
         more = self.size - _SHOWN
         return shown.getvalue() + (f"<p>and {more} more places</p>" if more > 0 else "")
 
-    def _chosen(self, place: Place) -> Any:
-        """Return the index of one place; raises `InputError` unless there is one to take."""
-        if place is None and self.size == 1:
-            return (0,) * len(self.shape)
-        index = () if place is None else np.atleast_1d(place).tolist()
-        is_one = len(index) == len(self.shape)
-        if not is_one or any(
-            not -count <= at < count for at, count in zip(index, self.shape, strict=True)
-        ):
-            given = "none is chosen" if place is None else f"place is {place}"
+    @property
+    def _only(self) -> LocalHorizons:
+        """The only place; raises `InputError` if there are several."""
+        if self.size != 1:
             raise InputError(
-                f"there are {self.size} places and {given}; take one by its number or its id, as "
-                "in horizons[0] and horizons.sel(...)"
+                f"there are {self.size} places; take one by its number or its id, as in "
+                "horizons[0] and horizons.sel(...)"
             )
-        return tuple(index)
+        return self.ravel()[0]
 
     def to_series(self) -> Series:
         """Return the elevations in the form of pvlib's `get_pvgis_horizon`.

@@ -14,6 +14,7 @@ from skyline.errors import InputError
 from skyline.geodesy.bounds import are_degrees, in_turn
 from skyline.geodesy.map_frame import Frame
 from skyline.photo.skyline import PhotoSkyline
+from skyline.pose_errors import ASSUMED
 
 RIGHT_WITHIN_M = 200.0
 """Largest error of an answer that is right. Poses farther apart are different answers."""
@@ -195,6 +196,20 @@ class Pose:
             distortion=self.distortion,
             wander=self.wander,
         )
+
+    def covariance_or_assumed(self, photo: PhotoSkyline) -> Float64Array:
+        """Return `covariance` (P, P), or where it is None the assumed one.
+
+        A person wrote such a pose: see `skyline.pose_errors.AssumedErrors`. The size and the
+        projection of ``photo`` count.
+        """
+        if self.covariance is None:
+            return ASSUMED.covariance(self.camera(photo))
+        return np.array(self.covariance)
+
+    def assumed(self, photo: PhotoSkyline) -> str:
+        """Return assumed standard errors in words; empty if the covariance is known."""
+        return "" if self.covariance is not None else ASSUMED.in_words(self.camera(photo))
 
     def distance_m(self, other: "Pose") -> float:
         """Return the horizontal distance of another pose of the same frame, metres."""

@@ -1,7 +1,6 @@
 """Poses in files, as commands print them and people write them."""
 
 import json
-from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePath
@@ -13,9 +12,6 @@ from skyline.files import read_bytes
 from skyline.photo.photo import Photo, read_photo
 from skyline.pose import EXPECTED_RECORD, NotedPose, noted_projection
 from skyline.store.read import is_store
-
-ANGLE_SDS = ("heading_sd_deg", "pitch_sd_deg", "roll_sd_deg", "fov_sd_deg")
-"""Names of the standard errors of a pose's angles, as `skyline orient` writes them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,17 +81,6 @@ def read_posed(
     return read, record.pose(read.blank.projection)
 
 
-def angle_sds_in(path: Path, photo: Path) -> dict[str, float]:
-    """Return the standard errors of a pose's angles that its file has, by their names.
-
-    The file is one that `read_pose` reads; `skyline orient --json` writes standard errors.
-    """
-    record = _record_of(_records_in(path), path, photo)
-    given = record if isinstance(record, dict) else {}
-    sds = {name: given.get(name) for name in ANGLE_SDS}
-    return {name: float(sd) for name, sd in sds.items() if isinstance(sd, int | float) and sd > 0}
-
-
 def _check_photo(record: Any, path: Path, photo: Path) -> None:
     """Raise `InputError` for the record of a photo of another name."""
     named = record.get("photo") if isinstance(record, dict) else None
@@ -104,12 +89,6 @@ def _check_photo(record: Any, path: Path, photo: Path) -> None:
             f"pose {path} is of {printable(str(named))}, not of {photo}; give the pose of this "
             "photo, or remove `photo` from the record if a fixed camera took both"
         )
-
-
-def lacking_sds(sds: Mapping[str, float], usual: object) -> str:
-    """Return the standard errors that a pose's file lacks, with the usual ones, in words."""
-    lacking = [name for name in ANGLE_SDS if name not in sds]
-    return ", ".join(f"{name} {getattr(usual, name):g}" for name in lacking)
 
 
 def _records_in(path: Path) -> list[Any]:

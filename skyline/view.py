@@ -537,13 +537,12 @@ class Viewer(Closeable):
         the map or on a hole.
         """
         photo.projection.check_fov_deg(pose.fov_deg)
-        known = None if pose.covariance is None else np.array(pose.covariance)
         return GroundView(
             terrain=self.terrain,
             curvature=self.curvature,
             eye=self._standing(pose),
             camera=pose.camera(photo),
-            covariance=known,
+            covariance=pose.covariance_or_assumed(photo),
         )
 
     def summits(self, pose: Pose, photo: PhotoSkyline) -> list[SeenPeak]:

@@ -42,6 +42,22 @@ def candidate_at(
     )  # fmt: skip
 
 
+def perturbed(pose, off):
+    """Return a pose of a lens that is off by the unknowns (8,) of its covariance."""
+    half = np.tan(np.radians(pose.fov_deg / 2.0)) * np.exp(off[6])
+    return replace(
+        pose,
+        easting_m=pose.easting_m + off[0],
+        northing_m=pose.northing_m + off[1],
+        eye_elevation_m=pose.eye_elevation_m + off[2],
+        heading_deg=pose.heading_deg + np.degrees(off[3]),
+        pitch_deg=pose.pitch_deg + np.degrees(off[4]),
+        roll_deg=pose.roll_deg + np.degrees(off[5]),
+        fov_deg=2.0 * np.degrees(np.arctan(half)),
+        distortion=pose.distortion + off[7],
+    )
+
+
 def at_m(place):
     """Return a pair of eastings and northings as arguments."""
     return dict(zip(("easting_m", "northing_m"), place, strict=True))

@@ -25,6 +25,8 @@ Posed = tuple[SyntheticQuery, Pose | None]
 
 HEIGHT_SD_M = 10.0
 """Error of the model that other photos see."""
+_EXACT = ((0.0,) * 7,) * 7
+"""Covariance of a true pose."""
 _EACH_PX = 24
 """Of so many rows and columns one pixel is compared."""
 
@@ -132,7 +134,7 @@ def true_pose(viewer: Viewer, truth: Truth) -> Pose:
     lon, lat = map(float, viewer.frame.to_lonlat(truth.easting_m, truth.northing_m))
     held = {name: getattr(truth, name) for name in ("pitch_deg", "roll_deg", "fov_deg")}
     pose = viewer.pose(lon=lon, lat=lat, heading_deg=truth.heading_deg + north_deg, **held)
-    return replace(pose, eye_elevation_m=truth.eye_elevation_m)
+    return replace(pose, eye_elevation_m=truth.eye_elevation_m, covariance=_EXACT)
 
 
 def _summits(terrain: HeightField) -> tuple[Float64Array, Float64Array]:

@@ -11,6 +11,7 @@ from typer import Argument, Option
 from skyline.cli.options import AsJson, Crs, Dem
 from skyline.cli.terminal import Terminal
 from skyline.tasks.cross import Crossed, CrossTask, cross_photos
+from skyline.tasks.label import assumed_lines
 from skyline.tasks.when import pixels_of
 
 
@@ -61,9 +62,8 @@ def _in_words(found: Crossed) -> str:
         f"{found.lon:.6f},{found.lat:.6f}, {at.elevation_m:.0f} m high{ground}; give or take "
         f"{east_m:.0f} m east, {north_m:.0f} m north and {up_m:.0f} m up",
         meets,
-        f"standard errors that no pose's file has: {found.assumed}",
     ]
-    return "\n".join(lines)
+    return "\n".join(lines + assumed_lines(found.assumed))
 
 
 def _record(found: Crossed) -> dict[str, Any]:

@@ -60,4 +60,5 @@ def ortho(
         resolution_m=resolution_m,
         projection=projection,
     )
-    terminal.line(lay_photos(task, terminal))
+    for line in lay_photos(task, terminal):
+        terminal.line(line)

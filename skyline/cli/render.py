@@ -20,7 +20,6 @@ from skyline.cli.options import (
     parse_bounds,
 )
 from skyline.cli.terminal import Terminal
-from skyline.geodesy.earth import DEFAULT_REFRACTION_K, Curvature
 from skyline.paper.plan import Plan, PlanConfig
 from skyline.paper.plan_check import Verification
 from skyline.paper.planners import PLANNERS
@@ -113,7 +112,6 @@ def render(
     The views look to grid north, east, south and west.
     """
     terminal = Terminal.of(context)
-    used_k = DEFAULT_REFRACTION_K if refraction_k is None else refraction_k
     task = RenderTask(
         dem=tuple(dem),
         crs=crs,
@@ -129,7 +127,8 @@ def render(
         bounds_deg=None if bounds is None else parse_bounds(bounds),
         depth_images=depth_images,
         workers=workers,
-        config=RenderConfig(width, Curvature(refraction_k=used_k)),
+        width=width,
+        refraction_k=refraction_k,
     )
     if planner is None:
         terminal.line(built_in_words(render_store(task, terminal), output, "renderings"))

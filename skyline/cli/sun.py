@@ -90,27 +90,27 @@ def sun(
     with terminal.progress("rendering") as progress:
         found = horizons_of(terrain, eyes, _STEP_DEG, curvature, progress)
     terminal.line("lon,lat,from_utc,to_utc,from_azimuth_deg,to_azimuth_deg,body")
-    for place in range(len(found)):
+    for one in found:
         for body in Body:
-            for line in _intervals(found, place, asked, body):
+            for line in _intervals(one, asked, body):
                 terminal.line(line)
     warn_of_border(found)
 
 
-def _intervals(found: LocalHorizons, place: int, day: date, body: Body) -> list[str]:
-    """Return the lines of a body's times above one place's horizon."""
-    above = found.sun_above if body is Body.SUN else found.moon_above
-    sky = found.sky(place)
+def _intervals(one: LocalHorizons, day: date, body: Body) -> list[str]:
+    """Return the lines of a body's times above a place's horizon."""
+    above = one.sun_above if body is Body.SUN else one.moon_above
+    sky = one.sky()
     return [
         ",".join(
             [
-                f"{found.lon[place]:.7f},{found.lat[place]:.7f}",
+                f"{one.lon:.7f},{one.lat:.7f}",
                 *(f"{time:{_SECOND}}" for time in interval),
                 *(f"{sky.look(body, time).azimuth_deg:.2f}" for time in interval),
                 body,
             ]
         )
-        for interval in above(day, place)
+        for interval in above(day)
     ]
 
 

@@ -12,8 +12,8 @@ from skyline.cli.options import POSE, AsJson, Crs, Dem, PhotoProjection
 from skyline.cli.photo_options import PhotoFile
 from skyline.cli.terminal import Terminal
 from skyline.errors import InputError
-from skyline.geodesy.bounds import in_turn
 from skyline.sun import Body, day_of, time_of
+from skyline.tasks.label import assumed_lines
 from skyline.tasks.when import Told, WhenTask, pixels_of, tell_when
 
 _PIXEL = "COLUMN,ROW"
@@ -79,9 +79,7 @@ def when(
 
 def _lines(told: Told) -> list[str]:
     """Return the answer in words, and what was assumed for it."""
-    assumed = (
-        [f"the pose has no standard errors of its own for: {told.assumed}"] if told.assumed else []
-    )
+    assumed = assumed_lines(told.assumed)
     if told.heading is None:
         return [
             f"{one.time:%Y-%m-%d %H:%M:%S} UTC, give or take {one.sd_s / 60.0:.1f} minutes: "
@@ -90,8 +88,6 @@ def _lines(told: Told) -> list[str]:
             for one in told.times
         ] + assumed
     found = told.heading
-    apart_deg = float(in_turn(told.pose.heading_deg - found.heading_deg))
-    sds = abs(apart_deg) / math.hypot(found.sd_deg, told.errors.heading_sd_deg)
     higher = (
         ""
         if math.isnan(found.above_deg)
@@ -99,7 +95,7 @@ def _lines(told: Told) -> list[str]:
     )
     return [
         f"heading {found.heading_deg:.2f} +- {found.sd_deg:.2f} from true north; the pose's is "
-        f"{told.pose.heading_deg:.2f}, {sds:.1f} standard errors away{higher}",
+        f"{told.pose.heading_deg:.2f}, {found.off_sds:.1f} standard errors away{higher}",
         *assumed,
     ]
 
@@ -114,6 +110,7 @@ def _record(told: Told) -> dict[str, Any]:
     return {
         "heading_deg": found.heading_deg,
         "heading_sd_deg": found.sd_deg,
+        "off_sds": found.off_sds,
         "above_deg": above,
         "assumed": told.assumed,
     }

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from skyline.arrays import refuse_text
 from skyline.errors import InputError
+from skyline.pose_errors import ASSUMED
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +32,7 @@ class MatchConfig:
 
     refine: bool = True
     min_confidence: float = 0.8
-    fov_sd_share: float = 0.02
+    fov_sd_share: float = ASSUMED.fov_sd_share
 
     def __post_init__(self) -> None:
         refuse_text(min_confidence=self.min_confidence, fov_sd_share=self.fov_sd_share)

@@ -30,6 +30,7 @@ from skyline.match.likelihood import (
 from skyline.match.prior import EyeHeightPrior, PlacePrior
 from skyline.match.rays import Rays, thinned
 from skyline.pose import Poses
+from skyline.pose_errors import ASSUMED
 from skyline.terrain.data_edge import DataEdge
 
 EAST, NORTH, EYE_HEIGHT, HEADING, PITCH, ROLL, LOG_SCALE, WARP = range(8)
@@ -64,9 +65,9 @@ _HELD = 1e14
 class SolverPriors:
     """Priors of cameras and terrain, and the damping of a step."""
 
-    pitch_sd_rad: float = np.radians(6.0)
+    pitch_sd_rad: float = np.radians(ASSUMED.level_pitch_sd_deg)
     """Standard deviation from a level camera."""
-    roll_sd_rad: float = np.radians(3.0)
+    roll_sd_rad: float = np.radians(ASSUMED.level_roll_sd_deg)
     """Standard deviation from a level camera."""
     position_sd_m: float = 300.0
     """Standard deviation of a place: it bounds the covariance for a skyline without information."""

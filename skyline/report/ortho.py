@@ -6,7 +6,7 @@ photos show has the colours of the photo that shows it with the finest pixels.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array
+from skyline.camera import Camera
 from skyline.errors import InputError, suffix_of
 from skyline.files import write_whole
-from skyline.ground import GroundErrors, GroundView
+from skyline.ground import GroundErrors, GroundPoints, GroundView
 from skyline.terrain.heightfield import HeightField
 
 ORTHO_FILES = (".tif", ".tiff")
@@ -113,16 +114,45 @@ def grid_of(views: Sequence[GroundView], resolution_m: float | None = None) -> G
         cell_m = coarser_m
 
 
+def place_sd_m(views: Sequence[GroundView], grid: Grid) -> float:
+    """Return the median standard error of places on a grid, metres."""
+    errors_m = []
+    for view in views:
+        column_px, row_px = _sample(view.camera)
+        near = _lengths_m(_exact(view, column_px, row_px)) <= _SETTINGS.coarsest * grid.cell_m
+        errors_m.append(view.points(column_px[near], row_px[near]).error_m)
+    return float(np.median(np.concatenate(errors_m)))
+
+
 def _detail(view: GroundView) -> tuple[Float64Array, Float64Array]:
     """Return the places (N, 2) of some pixels, and their greatest lengths on the ground."""
-    camera = view.camera
+    points = _exact(view, *_sample(view.camera))
+    points = points[~points.is_sky]
+    return np.stack([points.easting_m, points.northing_m], axis=1), _lengths_m(points)
+
+
+def _sample(camera: Camera) -> tuple[Float64Array, Float64Array]:
+    """Return columns and rows (N,) of some pixels all over a photo."""
     step = max(1.0, math.sqrt(camera.width_px * camera.height_px / _SETTINGS.samples))
     row, column = np.mgrid[0 : camera.height_px : step, 0 : camera.width_px : step]
-    points = view.points(column.ravel(), row.ravel(), GroundErrors(pixel_sd_px=0.0, height_sd_m=0))
-    points = points[~points.is_sky]
-    lengths_m = np.linalg.svd(points.by_pixel[:, :2], compute_uv=False)
-    place = np.stack([points.easting_m, points.northing_m], axis=1)
-    return place, np.asarray(lengths_m[:, 0], dtype=np.float64)
+    return column.ravel().astype(np.float64), row.ravel().astype(np.float64)
+
+
+def _exact(view: GroundView, column_px: Float64Array, row_px: Float64Array) -> GroundPoints:
+    """Return the ground of pixels, with pose and model taken for exact.
+
+    The length of a pixel on the ground does not depend on how well they are known.
+    """
+    view = replace(view, covariance=np.zeros_like(view.covariance))
+    return view.points(column_px, row_px, GroundErrors(pixel_sd_px=0.0, height_sd_m=0.0))
+
+
+def _lengths_m(points: GroundPoints) -> Float64Array:
+    """Return the greatest lengths (N,) of pixels; infinite for sky."""
+    lengths_m = np.full(len(points), np.inf)
+    by_pixel = points.by_pixel[~points.is_sky, :2]
+    lengths_m[~points.is_sky] = np.linalg.svd(by_pixel, compute_uv=False)[:, 0]
+    return lengths_m
 
 
 def lay(view: GroundView, picture: NDArray[Any], grid: Grid) -> Laid:

@@ -18,10 +18,9 @@ from skyline.pose import Pose
 from skyline.report.labels import UnnamedPeaks, encode_figure, labels_of, place_labels
 from skyline.view import SeenBody, SeenPeak, Sight
 
-_FOUND_COLOUR = "#ffd23f"
 _RENDERED_COLOUR = "#35d0ff"
 _DRAWN_COLOUR = "#ffd23f"
-"""Of the sun, the moon and lines of the map."""
+"""Of the skyline found, the sun, the moon and lines of the map."""
 _DPI = 100.0
 _ROW_PX = 21.0
 """Height of a row of labels."""
@@ -48,7 +47,7 @@ def draw_overlay(
         _draw_rendered(axis, pose, sight)
     axis.plot(
         skyline.row_px,
-        color=_FOUND_COLOUR,
+        color=_DRAWN_COLOUR,
         linewidth=1.6,
         path_effects=_HALO,
         label="skyline found in the photo",

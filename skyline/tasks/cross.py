@@ -7,19 +7,14 @@ from pathlib import Path
 
 from skyline.crossing import Crossing, Ray, cross
 from skyline.errors import InputError
-from skyline.pose_file import angle_sds_in, lacking_sds, read_posed
-from skyline.sun_clock import Pixel, PointingErrors, body_pointing
+from skyline.pose_file import read_posed
+from skyline.sun_clock import Pixel
 from skyline.tasks.label import shown_pose
 from skyline.tasks.listener import Listener
 from skyline.terrain.dem import read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.provenance import DemOptions
 from skyline.view import Viewer
-
-POSITION_SD_M = 10.0
-"""Standard error of a camera's easting, and of its northing: a phone's, or a match's."""
-HEIGHT_SD_M = 3.0
-"""Standard error of a camera's elevation: the DEM's, mostly."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,7 +43,7 @@ class Crossed:
     above_ground_m : float
         NaN off the elevation model.
     assumed : str
-        The standard errors that were assumed, in words.
+        The standard errors of poses without a covariance, in words; empty if there are none.
     """
 
     crossing: Crossing
@@ -83,26 +78,14 @@ def cross_photos(task: CrossTask, listener: Listener) -> Crossed:
             for photo, pose, pixel in zip(task.photos, task.poses, task.pixels, strict=True)
         ]
     found = cross(rays, viewer.curvature)
-    return _on_map(found, terrain, _assumed(task))
+    assumed = dict.fromkeys(ray.pose.assumed(ray.photo) for ray in rays)
+    return _on_map(found, terrain, "; ".join(filter(None, assumed)))
 
 
 def _ray(photo: Path, pose: Path, pixel: Pixel, viewer: Viewer, listener: Listener) -> Ray:
     """Return the ray of a photo's pixel."""
     picture, noted = read_posed(photo, pose)
-    blank = picture.blank
-    shown = shown_pose(noted, viewer, listener)
-    errors = PointingErrors(**angle_sds_in(pose, photo))
-    pointing = body_pointing(shown, blank, pixel, errors)
-    return Ray(pose=shown, pointing=pointing, position_sd_m=POSITION_SD_M, height_sd_m=HEIGHT_SD_M)
-
-
-def _assumed(task: CrossTask) -> str:
-    """Return the standard errors that are assumed, in words."""
-    usual = PointingErrors()
-    pairs = zip(task.poses, task.photos, strict=True)
-    angles = {lacking_sds(angle_sds_in(pose, photo), usual) for pose, photo in pairs}
-    place = f"position {POSITION_SD_M:g} m, elevation {HEIGHT_SD_M:g} m"
-    return ", ".join([*sorted(filter(None, angles)), place])
+    return Ray(pose=shown_pose(noted, viewer, listener), photo=picture.blank, pixel=pixel)
 
 
 def _on_map(found: Crossing, terrain: HeightField, assumed: str) -> Crossed:

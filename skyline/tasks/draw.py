@@ -15,7 +15,7 @@ from skyline.ground_shapes import GroundShape, Measure, in_photo, on_ground
 from skyline.photo.photo import Photo
 from skyline.pose_file import read_posed
 from skyline.report.vector_files import MAP_FILES, write_in_photo, write_on_map
-from skyline.tasks.label import LABEL_FILES, shown_pose
+from skyline.tasks.label import LABEL_FILES, assumed_lines, shown_pose
 from skyline.tasks.listener import Listener
 from skyline.terrain.dem import read_dem
 from skyline.terrain.dem_files import dem_names
@@ -77,18 +77,14 @@ def draw_vectors(task: DrawTask, listener: Listener) -> list[str]:
         if not vectors.in_pixels:
             with listener.slow("drawing the map into the photo"):
                 return _into_photo(task, vectors, view, picture, suffix)
-        if pose.covariance is None:
-            listener.note(
-                f"{task.pose} has no covariance, so the pose counts as exact; give the output of "
-                "`match --json` or `orient --json` for errors with the pose's own"
-            )
         with listener.progress("following rays") as progress:
             found = []
             for number, shape in enumerate(vectors.shapes, start=1):
                 found.append(on_ground(view, shape, viewer.frame, task.errors))
                 progress(number, len(vectors.shapes))
     write_on_map(task.output, found, viewer.frame, task.photo)
-    return [f"{task.output}: {_counted(len(found))} on the map", *_lines(found)]
+    lines = [f"{task.output}: {_counted(len(found))} on the map", *_lines(found)]
+    return lines + assumed_lines(pose.assumed(photo))
 
 
 def _check_kind(task: DrawTask, vectors: Vectors, suffix: str) -> None:

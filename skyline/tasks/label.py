@@ -161,6 +161,12 @@ def shown_pose(noted: NotedPose, viewer: Viewer, listener: Listener) -> Pose:
     return pose
 
 
+def assumed_lines(*assumed: str) -> list[str]:
+    """Return a line on errors that `Pose.assumed` names; none where all are known."""
+    words = "; ".join(dict.fromkeys(filter(None, assumed)))
+    return [f"errors assumed, since no covariance is given: {words}"] if words else []
+
+
 def _bodies(
     task: LabelTask, pose: Pose, photo: PhotoSkyline, viewer: Viewer, listener: Listener
 ) -> list[SeenBody]:

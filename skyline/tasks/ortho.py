@@ -15,10 +15,11 @@ from skyline.report.ortho import (
     grid_of,
     lay,
     mosaic,
+    place_sd_m,
     write_ortho,
     write_pixel_lengths,
 )
-from skyline.tasks.label import shown_pose
+from skyline.tasks.label import assumed_lines, shown_pose
 from skyline.tasks.listener import Listener
 from skyline.terrain.dem import read_dem
 from skyline.terrain.dem_files import dem_names
@@ -47,8 +48,8 @@ class OrthoTask:
     """By default from the photos."""
 
 
-def lay_photos(task: OrthoTask, listener: Listener) -> str:
-    """Write photos as they lie on the ground; return in words what is written.
+def lay_photos(task: OrthoTask, listener: Listener) -> list[str]:
+    """Write photos as they lie on the ground; return lines on what is written.
 
     Raises `InputError` for outputs of another kind or in the folder of the DEM, for poses that are
     not those of the photos, and as `grid_of`.
@@ -67,18 +68,17 @@ def lay_photos(task: OrthoTask, listener: Listener) -> str:
         )
     names = dem_names(task.dem)
     check_outputs(outputs, [*task.photos, *task.poses, *map(Path, map(on_disk, names))])
-    poses = task.poses if len(task.poses) > 1 else [task.poses[0]] * len(task.photos)
+    files = task.poses if len(task.poses) > 1 else [task.poses[0]] * len(task.photos)
     posed = [
-        read_posed(photo, pose, task.projection)
-        for photo, pose in zip(task.photos, poses, strict=True)
+        read_posed(photo, file, task.projection)
+        for photo, file in zip(task.photos, files, strict=True)
     ]
     with listener.slow("reading the elevation model"):
         terrain = read_dem(names, DemOptions(crs=task.crs))
     with Viewer(terrain) as viewer, listener.progress("laying photos") as progress:
-        views = [
-            viewer.ground_view(shown_pose(one, viewer, listener), picture.blank)
-            for picture, one in posed
-        ]
+        poses = [shown_pose(one, viewer, listener) for _, one in posed]
+        photos = [picture.blank for picture, _ in posed]
+        views = [viewer.ground_view(pose, photo) for pose, photo in zip(poses, photos, strict=True)]
         grid = grid_of(views, task.resolution_m)
         whole = lay(views[0], posed[0][0].rgb, grid)
         for number, (view, (picture, _)) in enumerate(zip(views, posed, strict=True)):
@@ -92,8 +92,11 @@ def lay_photos(task: OrthoTask, listener: Listener) -> str:
     if task.pixel_lengths is not None:
         write_pixel_lengths(task.pixel_lengths, whole, grid, terrain)
     seen = whole.pixel_m[whole.is_seen]
-    return (
+    line = (
         f"{task.output}: {grid.cols} x {grid.rows} cells of {grid.cell_m:.3g} m, "
         f"{100.0 * len(seen) / whole.is_seen.size:.0f} % of them seen; a pixel is "
-        f"{float(np.median(seen)):.2g} m long on the ground (median)"
+        f"{float(np.median(seen)):.2g} m long on the ground, and its place good to "
+        f"{place_sd_m(views, grid):.2g} m (medians)"
     )
+    assumed = (pose.assumed(photo) for pose, photo in zip(poses, photos, strict=True))
+    return [line, *assumed_lines(*assumed)]

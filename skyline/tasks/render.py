@@ -5,7 +5,7 @@ The viewpoints are given, on a uniform grid, or planned.
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from skyline.arrays import Progress
@@ -64,7 +64,10 @@ class RenderTask:
     """Folder of depth images and pictures of them."""
     workers: str | None = None
     """As for `runner_of`."""
-    config: RenderConfig
+    width: int = RenderConfig().width
+    """Columns of a view."""
+    refraction_k: float | None = None
+    """By default as usual in the terrain's world."""
 
     def check(self) -> None:
         """Check the options and the outputs.
@@ -109,6 +112,13 @@ class RenderTask:
         chosen = {name: value for name, value in given.items() if value is not None}
         return PlanConfig(str(self.planner), **chosen)  # type: ignore[arg-type]
 
+    def config(self, terrain: HeightField) -> RenderConfig:
+        """Return the settings of views of a terrain; raises `InputError` as `Curvature`."""
+        curvature = terrain.frame.curvature
+        if self.refraction_k is not None:
+            curvature = replace(curvature, refraction_k=self.refraction_k)
+        return RenderConfig(self.width, curvature)
+
     def terrain(self, listener: Listener) -> HeightField:
         """Read the elevation model."""
         with listener.slow("reading the elevation model"):
@@ -130,12 +140,13 @@ def render_store(task: RenderTask, listener: Listener) -> BuildResult:
     task.check()
     advise_to_continue(task.output, listener)
     terrain = task.terrain(listener)
+    config = task.config(terrain)
     labels: tuple[str, ...] = ()
     if task.viewpoints is not None:
         eyes, labels = read_viewpoints(task.viewpoints, terrain)
-        plan = RenderingPlan.given(eyes, task.config)
+        plan = RenderingPlan.given(eyes, config)
     else:
-        plan = RenderingPlan.uniform(terrain, task.spacing_m or 0.0, task.bounds_deg, task.config)
+        plan = RenderingPlan.uniform(terrain, task.spacing_m or 0.0, task.bounds_deg, config)
     note_added_area(task.output, plan, terrain, listener)
     if task.depth_images is not None:
         from skyline.report import paper_pictures  # noqa: PLC0415  (slow to load)
@@ -145,7 +156,7 @@ def render_store(task: RenderTask, listener: Listener) -> BuildResult:
         result = build_store(terrain, task.output, plan, runner, bar)
     if task.depth_images is not None:
         paper_pictures.save_depth_pictures(
-            terrain, plan.viewpoints, task.depth_images, task.config, labels
+            terrain, plan.viewpoints, task.depth_images, config, labels
         )
     return result
 
@@ -162,7 +173,8 @@ def render_planned(
     planned = task.plan_config()
     terrain = task.terrain(listener)
     with listener.progress("covering, %") as bar:
-        result = build_planned(terrain, task.output, planned, task.bounds_deg, task.config, bar)
+        config = task.config(terrain)
+        result = build_planned(terrain, task.output, planned, task.bounds_deg, config, bar)
     if task.map is not None:
         if result is None:
             raise InputError(

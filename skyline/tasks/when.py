@@ -1,20 +1,18 @@
 """Telling when a photo was taken, or its heading, by the sun or the moon."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import date, datetime
 from pathlib import Path
 
 from skyline.camera import Projection
 from skyline.errors import InputError
-from skyline.geodesy.earth import Curvature
 from skyline.pose import Pose
-from skyline.pose_file import angle_sds_in, lacking_sds, read_posed
+from skyline.pose_file import read_posed
 from skyline.sun import Body, Sky
 from skyline.sun_clock import (
     ClockTime,
     Pixel,
-    PointingErrors,
     SunHeading,
     body_pointing,
     heading_at,
@@ -56,18 +54,15 @@ class Told:
     ----------
     pose : Pose
         As it was given.
-    errors : PointingErrors
-        Standard errors of the pose.
     times : list of ClockTime
         The likeliest first; empty if the time was given.
     heading : SunHeading or None
         None if the day was given.
     assumed : str
-        The standard errors that the pose's file lacks, with the values taken, in words.
+        The standard errors of a pose without a covariance, in words; empty if it has one.
     """
 
     pose: Pose
-    errors: PointingErrors
     times: list[ClockTime]
     heading: SunHeading | None = None
     assumed: str = ""
@@ -81,25 +76,20 @@ def tell_when(task: WhenTask, listener: Listener) -> Told:
     """
     picture, noted = read_posed(task.photo, task.pose, task.projection)
     photo = picture.blank
-    sds = angle_sds_in(task.pose, task.photo)
-    errors = PointingErrors(**sds)
     with listener.slow("reading the elevation model"):
         terrain = read_dem(task.dem, DemOptions(crs=task.crs))
     with Viewer(terrain) as viewer:
         pose = shown_pose(noted, viewer, listener)
-    # At a known time the heading is asked for: the heading that was given tells nothing.
-    is_timed = isinstance(task.known, datetime)
-    used = replace(errors, heading_sd_deg=0.0) if is_timed else errors
-    if len(task.marked) == 1:
-        pointing = body_pointing(pose, photo, task.marked[0], used)
-    else:
-        pointing = shadow_pointing(terrain, Curvature(), pose, photo, task.marked, used)
+        if len(task.marked) == 1:
+            pointing = body_pointing(pose, photo, task.marked[0])
+        else:
+            pointing = shadow_pointing(viewer.ground_view(pose, photo), pose, task.marked)
+    assumed = pose.assumed(photo)
     sky = Sky(pose.lon, pose.lat, pose.eye_elevation_m)
     if isinstance(task.known, datetime):
-        told = Told(pose, errors, [], heading_at(pose, pointing, sky, task.body, task.known))
-    else:
-        told = Told(pose, errors, times_at(pointing, sky, task.body, task.known, pose.lon))
-    return replace(told, assumed=lacking_sds(sds, errors))
+        heading = heading_at(pose, pointing, sky, task.body, task.known)
+        return Told(pose, [], heading, assumed)
+    return Told(pose, times_at(pointing, sky, task.body, task.known, pose.lon), None, assumed)
 
 
 def pixels_of(given: str, option: str, counts: tuple[int, ...]) -> tuple[Pixel, ...]:

@@ -14,6 +14,7 @@ from pyproj.database import get_units_map
 
 from skyline.errors import InputError
 from skyline.geodesy.bounds import degrees_in_words
+from skyline.geodesy.crs import half_axes_m, is_of_earth
 
 GEOID = "geoid"
 ELLIPSOID = "ellipsoid"
@@ -55,6 +56,8 @@ class Vertical:
     """Name of the vertical CRS, or of the datum of an ellipsoid; empty if none is named."""
     reference: str
     """`GEOID` or `ELLIPSOID`, from which heights are measured; empty if no datum is named."""
+    assumed: str
+    """The surface from which heights are taken to be measured where no datum is named, in words."""
     notes: tuple[str, ...]
     """Sentences on what was assumed, to be shown after the name of the file and a colon."""
 
@@ -62,7 +65,7 @@ class Vertical:
     def conventions(self) -> dict[str, str]:
         """The unit and the datum by name, in words."""
         datum = f"{self.datum} ({self.reference})"
-        assumed = "geoid, assumed: none is named"
+        assumed = f"{self.assumed}, assumed: none is named"
         return {"height_unit": self.unit, "vertical_datum": datum if self.datum else assumed}
 
 
@@ -138,7 +141,16 @@ def vertical_of(source: str, crs: CRS, band_unit: str, positive: str) -> Vertica
     if positive.strip().casefold() == "down" or (axis and axis.direction == "down"):
         metres = -metres
         notes.append("values are depths, positive downward; heights are taken as their negatives")
-    return Vertical(metres, unit, *_datum_of(crs), tuple(notes))
+    assumed = GEOID if is_of_earth(crs) else _figure_of(crs)
+    return Vertical(metres, unit, *_datum_of(crs), assumed, tuple(notes))
+
+
+def _figure_of(crs: CRS) -> str:
+    """Return the sphere or the ellipsoid of a CRS in words."""
+    long_m, short_m = half_axes_m(crs)
+    if long_m == short_m:
+        return f"sphere of {long_m / 1000.0:.7g} km"
+    return f"ellipsoid of {long_m / 1000.0:.7g} by {short_m / 1000.0:.7g} km"
 
 
 def _datum_of(crs: CRS) -> tuple[str, str]:

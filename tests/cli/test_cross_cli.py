@@ -23,8 +23,10 @@ def test_a_thing_in_two_photos_is_placed(run, dem, photo, pose, tmp_path):
     done = run(*common, "--pixel", middle, "--pixel", middle, "--json").ok()
     found = json.loads(done.out)
     assert {"lon", "lat", "elevation_m", "above_ground_m", "meets"} <= found.keys()
-    assert found["assumed"].endswith("position 10 m, elevation 3 m")
-    assert "give or take" in run(*common, "--pixel", middle, "--pixel", middle).ok().out
+    assert found["assumed"].startswith("place 10 m, elevation 7 m, heading 0.5")
+    told = run(*common, "--pixel", middle, "--pixel", middle).ok().out
+    assert "give or take" in told
+    assert "errors assumed, since no covariance is given: place 10 m" in told
     assert_refused(run(*common, "--pixel", middle), "one --pose and one --pixel for each photo")
 
 

@@ -125,10 +125,12 @@ def test_the_map_is_drawn_into_the_photo(draw, vectors, photo, tmp_path, suffix)
             assert picture.width / picture.height == pytest.approx(taken.width / taken.height, 0.01)
 
 
-def test_a_pose_without_a_covariance_counts_as_exact_and_that_is_said(
+def test_the_errors_of_a_pose_without_a_covariance_are_assumed_and_that_is_said(
     draw, vectors, pose, tmp_path
 ):
-    assert "has no covariance" in draw(vectors, tmp_path / "a.kml", pose=pose).ok().err
+    out = draw(vectors, tmp_path / "a.kml", pose=pose).ok().out
+    assert "errors assumed, since no covariance is given: place 10 m" in out
+    assert "assumed" not in draw(vectors, tmp_path / "a.kml").ok().out
 
 
 @pytest.mark.parametrize(

@@ -36,10 +36,7 @@ COMMANDS = {
         "tasks.cross.read_dem",
     ),
     "when": ((*POSED, "--time", "2026-06-21T12:00Z", "--sun", "1,1", "-q"), "tasks.when.read_dem"),
-    "draw": (
-        (*POSED, "--vectors", "{drawn}", "--quiet", "-o", "{out}.kml"),  # its pose has no errors
-        "tasks.draw.read_dem",
-    ),
+    "draw": ((*POSED, "--vectors", "{drawn}", "-o", "{out}.kml"), "tasks.draw.read_dem"),
     "ortho": ((*POSED, "-o", "{out}.tif"), "tasks.ortho.read_dem"),
     "orient": (("{trace}", *PLACED, "-o", "{out}.csv"), "orient.read_terrain"),
     "locate": (

@@ -23,6 +23,8 @@ def lay(run, dem, photo, pose, tmp_path):
 def test_a_photo_lies_on_the_ground_that_it_shows(lay, dem, photo, tmp_path):
     done = lay("--resolution", 20, "--pixel-lengths", tmp_path / "p.tif").ok()
     assert "cells of 20 m" in done.out
+    assert "its place good to" in done.out
+    assert "errors assumed, since no covariance is given: place 10 m" in done.out
     terrain = read_dem([dem])
     with rasterio.open(tmp_path / "o.tif") as raster, rasterio.open(tmp_path / "p.tif") as lengths:
         alpha = raster.read(4)

@@ -37,9 +37,12 @@ def test_the_sun_in_a_photo_gives_back_the_time_and_the_heading(run, dem, photo,
     (found,) = json.loads(done.out)["times"]
     off = datetime.fromisoformat(found["time"]) - datetime.fromisoformat(TIME)
     assert abs(off.total_seconds()) < 2.0
-    assert 10.0 < found["sd_s"] < 200.0
-    assert "heading_sd_deg 0.3" in json.loads(done.out)["assumed"]
-    assert "give or take" in run(*common, *pixel, "--date", TIME[:10]).ok().out
+    # A degree of the sun's azimuth takes some four minutes, and the heading is good to half of one.
+    assert 60.0 < found["sd_s"] < 400.0
+    assert "heading 0.5, pitch 6 and roll 3 degrees" in json.loads(done.out)["assumed"]
+    told = run(*common, *pixel, "--date", TIME[:10]).ok().out
+    assert "give or take" in told
+    assert "errors assumed, since no covariance is given: place 10 m" in told
     turned = json.loads(run(*common, *pixel, "--time", TIME, "--json").ok().out)
     heading_deg = json.loads(pose.read_text())["heading_deg"]
     assert turned["heading_deg"] == pytest.approx(heading_deg, abs=0.01)

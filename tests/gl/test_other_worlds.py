@@ -1,5 +1,7 @@
 """Elevation models of other worlds: their radius, no refraction, and closed forms."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from rasterio.transform import from_origin
@@ -7,6 +9,7 @@ from scenes import write_dem
 
 from skyline import Frame, Viewer, horizon, read_dem
 from skyline.geodesy.earth import EARTH_RADIUS_M, Curvature
+from skyline.tasks.render import RenderTask
 
 MOON_M = 1_737_400.0
 EYE_M = 60.0
@@ -64,6 +67,19 @@ def test_a_moon_has_its_radius_and_no_refraction(moon):
     assert not moon.frame.is_of_earth
     assert moon.frame.curvature == Curvature(radius_m=MOON_M, refraction_k=0.0)
     assert Frame.local(lon=9.8, lat=46.8).curvature == Curvature(EARTH_RADIUS_M, 0.13)
+
+
+def test_heights_of_a_moon_count_from_its_sphere(moon):
+    assert moon.provenance.conventions["vertical_datum"] == (
+        "sphere of 1737.4 km, assumed: none is named"
+    )
+
+
+def test_renderings_of_a_moon_have_its_radius_too(moon, tmp_path):
+    task = RenderTask(dem=("moon.tif",), output=tmp_path / "moon.h5")
+    assert task.config(moon).curvature == moon.frame.curvature
+    given = replace(task, refraction_k=0.1).config(moon).curvature
+    assert (given.radius_m, given.refraction_k) == (MOON_M, 0.1)
 
 
 def test_a_metre_of_a_moons_frame_is_a_metre_of_its_ground(moon):

@@ -26,18 +26,20 @@ def photo_of(projection=Projection.PERSPECTIVE):
     return replace(PHOTO, projection=projection)
 
 
-def view_at(field, height_m=100.0, sds=None, east_m=0.0, north_m=0.0, **angles):
-    """Return the ground as a camera with independent errors sees it."""
-    ground_m = float(field.height_at(easting_m=east_m, northing_m=north_m))
-    pose = candidate_at(east_m, north_m, eye_elevation_m=ground_m + height_m, **angles)
-    if sds is not None:
-        pose = replace(pose, covariance=tuple(map(tuple, np.diag(np.square(sds)))))
-    return Viewer(field, curvature=Curvature(enabled=False)).ground_view(pose, PHOTO)
-
-
 def sds(**given):
     names = ("east", "north", "up", "heading", "pitch", "roll", "log_scale", "distortion")
     return [given.get(name, 0.0) for name in names]
+
+
+NO_ERRORS = sds()
+
+
+def view_at(field, height_m=100.0, errors=NO_ERRORS, east_m=0.0, north_m=0.0, **angles):
+    """Return the ground as a camera with independent errors, by default none, sees it."""
+    ground_m = float(field.height_at(easting_m=east_m, northing_m=north_m))
+    pose = candidate_at(east_m, north_m, eye_elevation_m=ground_m + height_m, **angles)
+    pose = replace(pose, covariance=tuple(map(tuple, np.diag(np.square(errors)))))
+    return Viewer(field, curvature=Curvature(enabled=False)).ground_view(pose, PHOTO)
 
 
 def straight_down_to(view, distance_m):
@@ -59,7 +61,7 @@ def straight_down_to(view, distance_m):
 def test_errors_of_a_pose_move_a_place_on_level_ground_as_trigonometry_has_it(
     error, east_m, north_m
 ):
-    view = view_at(PLANE, sds=error, pitch_deg=-10.0)
+    view = view_at(PLANE, errors=error, pitch_deg=-10.0)
     found = view.points(*straight_down_to(view, 500.0), EXACT)
     sd_m = np.sqrt(np.diagonal(found.covariance_m2[0]))
     np.testing.assert_allclose(sd_m, [east_m, north_m, 0.0], rtol=0.02, atol=0.02)
@@ -90,7 +92,7 @@ def test_a_ray_that_a_metre_of_height_moves_by_20_metres_is_grazing():
 
 def test_a_ray_beside_an_edge_may_show_what_is_far_behind_it():
     step = field_from(lambda east, north: np.where(north > 500.0, -80.0, 0.0), 81, 50.0)
-    view = view_at(step, sds=sds(pitch=2e-3), height_m=100.0)
+    view = view_at(step, errors=sds(pitch=2e-3), height_m=100.0)
     before, near = (view.points(*straight_down_to(view, d), EXACT) for d in (300.0, 495.0))
     assert near.error_m[0] > 3.0 * before.error_m[0] * (495.0 / 300.0) ** 2
 
@@ -128,7 +130,7 @@ def test_a_camera_s_changes_are_differences_of_directions(projection):
 
 @pytest.mark.parametrize("roll_deg", [0.0, 7.0])
 def test_from_the_photo_to_the_map_and_back_is_the_same_pixel(roll_deg):
-    view = view_at(ROUGH, 20.0, None, 1400.0, -1300.0, roll_deg=roll_deg)
+    view = view_at(ROUGH, 20.0, NO_ERRORS, 1400.0, -1300.0, roll_deg=roll_deg)
     row, column = (one.ravel().astype(float) for one in np.mgrid[:300:7, :400:7])
     there = view.points(column, row, EXACT)
     seen = ~there.is_sky & ~there.is_grazing
@@ -162,7 +164,7 @@ def test_a_photo_s_polygon_has_its_area_and_its_error_on_the_map():
 
 
 def test_lines_of_the_photo_follow_the_ground_between_their_vertices():
-    view = view_at(ROUGH, 20.0, None, 1400.0, -1300.0)
+    view = view_at(ROUGH, 20.0, NO_ERRORS, 1400.0, -1300.0)
     line = Shape(LINE, (np.array([(50.0, 250.0), (350.0, 250.0)]),), "it")
     found = on_ground(view, line, ROUGH.frame, EXACT)
     ring = found.rings[0]

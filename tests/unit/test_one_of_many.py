@@ -33,9 +33,7 @@ def test_none_of_several_suns_is_taken_unless_its_place_is_chosen():
     three = horizons_of(1.0, 2.0, 3.0)
     with pytest.raises(InputError):
         three.sun_above("2026-06-21")
-    with pytest.raises(InputError):
-        three.sun_above("2026-06-21", 3)
-    assert three.sun_above("2026-06-21", 1) == three[1].sun_above("2026-06-21")
+    assert three[1].sun_above("2026-06-21") == three[1:2].sun_above("2026-06-21")
 
 
 def test_places_are_taken_by_number_as_from_an_array():
@@ -106,7 +104,7 @@ def test_a_plot_has_a_line_for_each_place():
 
 def test_the_sun_is_seen_longest_where_the_horizon_is_lowest():
     ((_, low),) = horizons_of(0.0).sun_above("2026-06-21")[:1]
-    ((_, high),) = horizons_of(1.0, 2.0, 3.0).sun_above("2026-06-21", 2)[:1]
+    ((_, high),) = horizons_of(1.0, 2.0, 3.0)[2].sun_above("2026-06-21")[:1]
     assert low > high
 
 

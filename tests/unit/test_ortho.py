@@ -10,7 +10,15 @@ from scenes import candidate_at, field_from
 from skyline.errors import InputError
 from skyline.geodesy.earth import Curvature
 from skyline.photo.skyline import PhotoSkyline
-from skyline.report.ortho import Grid, grid_of, lay, mosaic, write_ortho, write_pixel_lengths
+from skyline.report.ortho import (
+    Grid,
+    grid_of,
+    lay,
+    mosaic,
+    place_sd_m,
+    write_ortho,
+    write_pixel_lengths,
+)
 from skyline.view import Viewer
 
 WIDTH_PX, HEIGHT_PX = 600, 400
@@ -83,6 +91,18 @@ def test_the_grid_is_as_fine_as_the_photo_shows_the_ground():
         grid_of([view_of()], 0.01)
     with pytest.raises(InputError):
         grid_of([view_of(heading_deg=0.0, height_m=19_000.0)], 1.0)
+
+
+def test_a_place_on_the_grid_is_as_unsure_as_its_pose_and_the_model():
+    view = view_of()
+    grid = grid_of([view], 8.0)
+    # 30 m east and 40 m north of the eye are 50 m of a place on level ground.
+    still, moved = (
+        replace(view, covariance=np.diag([*variances, *[0.0] * 5]))
+        for variances in ([0.0, 0.0], [900.0, 1600.0])
+    )
+    added_m = np.sqrt(place_sd_m([moved], grid) ** 2 - place_sd_m([still], grid) ** 2)
+    assert added_m == pytest.approx(50.0, rel=0.3)
 
 
 def test_of_two_photos_the_one_with_finer_pixels_is_taken():

@@ -1,23 +1,22 @@
 """The time and the heading that the sun and shadows tell, with their errors."""
 
+from dataclasses import replace
 from datetime import UTC, date, datetime, timedelta
+from functools import cache
 
 import numpy as np
 import pytest
-from scenes import candidate_at, field_from
+from scenes import candidate_at, field_from, perturbed
 
 from skyline.camera import Projection
 from skyline.errors import InputError
+from skyline.geodesy.bounds import in_turn
 from skyline.geodesy.earth import Curvature
+from skyline.ground import GroundErrors
 from skyline.photo.skyline import PhotoSkyline
 from skyline.sun import Body, Sky
-from skyline.sun_clock import (
-    PointingErrors,
-    body_pointing,
-    heading_at,
-    shadow_pointing,
-    times_at,
-)
+from skyline.sun_clock import body_pointing, heading_at, shadow_pointing, times_at
+from skyline.view import Viewer
 
 pytest.importorskip("ephem")
 
@@ -30,16 +29,16 @@ PHOTO = PhotoSkyline(
 )  # fmt: skip
 DAY = date(2026, 3, 1)
 MORNING = datetime(2026, 3, 1, 8, 0, tzinfo=UTC)
-SURE = PointingErrors(
-    heading_sd_deg=0.01, pitch_sd_deg=0.01, roll_sd_deg=0.01, fov_sd_deg=0.01, pixel_sd_px=0.1
-)
+SURE = GroundErrors(pixel_sd_px=0.1)
+FIRM = np.diag(np.square([5.0, 5.0, 2.0, *np.radians([0.1, 0.05, 0.05]), 3e-3, 3e-3]))
 
 
-def camera_at(pitch_deg=0.0, heading_deg=120.0):
-    return candidate_at(
+def camera_at(pitch_deg=0.0, heading_deg=120.0, covariance=FIRM):
+    pose = candidate_at(
         0.0, 0.0, heading_deg, pitch_deg=pitch_deg, fov_deg=60.0, eye_elevation_m=600.0,
         frame=PLAIN.frame,
     )  # fmt: skip
+    return replace(pose, covariance=tuple(map(tuple, covariance.tolist())))
 
 
 def sky_of(pose):
@@ -63,17 +62,41 @@ def test_the_sun_in_a_photo_tells_the_time():
 
 
 def test_an_error_of_the_heading_is_an_error_of_the_time():
-    pose = camera_at(pitch_deg=10.0)
+    sds = [0.0, 0.0, 0.0, *np.radians([0.5, 5.0, 0.0]), 0.0]
+    pose = camera_at(pitch_deg=10.0, covariance=np.diag(np.square(sds)))
     sun, later = (sky_of(pose).look(Body.SUN, MORNING + timedelta(minutes=m)) for m in (0, 10))
-    errors = PointingErrors(
-        heading_sd_deg=0.5, pitch_sd_deg=5.0, roll_sd_deg=0.0, fov_sd_deg=0.0, pixel_sd_px=0.0
-    )
     pixel = pixel_of(pose, sun.azimuth_deg, sun.elevation_deg)
-    pointing = body_pointing(pose, PHOTO, pixel, errors)
+    pointing = body_pointing(pose, PHOTO, pixel, SURE)
     # A pitch that nobody knows leaves the azimuth alone, and the sun's azimuth grows evenly.
     expected_s = 600.0 * 0.5 / (later.azimuth_deg - sun.azimuth_deg)
     found = times_at(pointing, sky_of(pose), Body.SUN, DAY, pose.lon)[0]
     assert found.sd_s == pytest.approx(expected_s, rel=0.3)
+
+
+def test_times_and_headings_err_as_they_say_where_poses_are_drawn():
+    rng = np.random.default_rng(8)
+    # A camera that is aside is turned, and one that is zoomed is bent.
+    root = np.sqrt(FIRM) @ rng.normal(0.0, 0.4, (8, 8))
+    pose = camera_at(pitch_deg=10.0, covariance=root @ root.T)
+    sky = sky_of(pose)
+    sun = sky.look(Body.SUN, MORNING)
+
+    class Kept:
+        look = staticmethod(cache(sky.look))
+
+    off_s, sd_s, off_sds, pose_sds = [], [], [], []
+    for _ in range(100):
+        true = perturbed(pose, root @ rng.standard_normal(8))
+        pixel = pixel_of(true, sun.azimuth_deg, sun.elevation_deg) + rng.normal(0.0, 1.0, 2)
+        pointing = body_pointing(pose, PHOTO, tuple(pixel))
+        found = times_at(pointing, Kept, Body.SUN, DAY, pose.lon)[0]
+        off_s.append((found.time - MORNING).total_seconds())
+        sd_s.append(found.sd_s)
+        held = heading_at(pose, pointing, Kept, Body.SUN, MORNING)
+        off_sds.append(in_turn(held.heading_deg - true.heading_deg) / held.sd_deg)
+        pose_sds.append(held.off_sds)
+    for errors in (np.divide(off_s, sd_s), off_sds, pose_sds):
+        assert 0.90 <= np.mean(np.abs(errors) <= 2.0) <= 0.99
 
 
 def test_the_sun_at_a_known_time_tells_the_heading():
@@ -89,8 +112,16 @@ def test_the_sun_at_a_known_time_tells_the_heading():
         heading_at(pose, pointing, sky_of(pose), Body.SUN, datetime(2026, 3, 1, 22, tzinfo=UTC))
 
 
-def shadow_pixels(pose, sun, top_m):
-    """Return tip, foot and top of a post on the plain, 200 m ahead, 100 m below the camera."""
+def view_of(pose):
+    return Viewer(PLAIN, curvature=FLAT).ground_view(pose, PHOTO)
+
+
+def shadow_pixels(pose, sun, top_m, true=None):
+    """Return tip, foot and top of a post on the plain, 200 m ahead, 100 m below the camera.
+
+    The camera truly was in another pose.
+    """
+    true = true or pose
     ahead = np.radians(pose.grid_heading_deg)
     foot = 200.0 * np.array([np.sin(ahead), np.cos(ahead)])
     away = np.radians(sun.azimuth_deg - pose.convergence_deg + 180.0)
@@ -98,10 +129,13 @@ def shadow_pixels(pose, sun, top_m):
     tip = foot + length_m * np.array([np.sin(away), np.cos(away)])
     ends = [(*tip, 500.0), (*foot, 500.0), (*foot, 500.0 + top_m)]
     pixels = []
-    for east_m, north_m, up_m in ends:
+    for end in ends:
+        east_m, north_m, up_m = np.subtract(
+            end, (true.easting_m, true.northing_m, true.eye_elevation_m)
+        )
         azimuth_deg = np.degrees(np.arctan2(east_m, north_m)) + pose.convergence_deg
-        up_deg = np.degrees(np.arctan((up_m - 600.0) / np.hypot(east_m, north_m)))
-        pixels.append(pixel_of(pose, azimuth_deg, up_deg))
+        up_deg = np.degrees(np.arctan(up_m / np.hypot(east_m, north_m)))
+        pixels.append(pixel_of(true, azimuth_deg, up_deg))
     return pixels
 
 
@@ -110,7 +144,7 @@ def test_a_shadow_tells_the_time_and_its_error(count):
     pose = camera_at(pitch_deg=-25.0)
     sun = sky_of(pose).look(Body.SUN, MORNING)
     shadow = shadow_pixels(pose, sun, 20.0)[:count]
-    pointing = shadow_pointing(PLAIN, FLAT, pose, PHOTO, shadow, PointingErrors())
+    pointing = shadow_pointing(view_of(pose), pose, shadow)
     assert pointing.azimuth_deg == pytest.approx(sun.azimuth_deg, abs=0.05)
     assert np.isnan(pointing.elevation_deg) == (count == 2)
     found = times_at(pointing, sky_of(pose), Body.SUN, DAY, pose.lon)[0]
@@ -118,12 +152,26 @@ def test_a_shadow_tells_the_time_and_its_error(count):
     assert 30.0 < found.sd_s < 600.0
 
 
+def test_a_shadow_s_direction_errs_as_it_says_where_poses_are_drawn():
+    rng = np.random.default_rng(3)
+    root = np.sqrt(FIRM) @ rng.normal(0.0, 0.4, (8, 8))
+    pose = camera_at(pitch_deg=-25.0, covariance=root @ root.T)
+    sun = sky_of(pose).look(Body.SUN, MORNING)
+    view = view_of(pose)
+    off_sds = []
+    for _ in range(100):
+        true = perturbed(pose, root @ rng.standard_normal(8))
+        pixels = shadow_pixels(pose, sun, 20.0, true) + rng.normal(0.0, 1.0, (3, 2))
+        found = shadow_pointing(view, pose, pixels.tolist(), GroundErrors(height_sd_m=0.0))
+        off_sds.append(found.off_deg(sun)[0] / np.sqrt(np.diag(found.covariance)))
+    within = np.mean(np.abs(off_sds) <= 2.0, axis=0)
+    assert ((within >= 0.90) & (within <= 0.99)).all()
+
+
 def test_a_shadow_across_a_flat_view_tells_nothing():
     pose = camera_at(pitch_deg=-25.0)
     with pytest.raises(InputError, match="its direction"):
-        shadow_pointing(
-            PLAIN, FLAT, pose, PHOTO, [(500.0, 300.0), (501.0, 300.0)], PointingErrors()
-        )
+        shadow_pointing(view_of(pose), pose, [(500.0, 300.0), (501.0, 300.0)])
 
 
 def test_a_body_that_does_not_rise_or_passes_elsewhere_is_said():

@@ -1,0 +1,97 @@
+"""Errors of a pose, and of the directions of its photo's pixels.
+
+All of them start from one covariance, `skyline.pose.Pose.covariance`; a pose that has none gets the
+one of `AssumedErrors`.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from skyline.arrays import Float64Array, Rows
+from skyline.camera import MAX_PANORAMA_DEG, Camera
+
+EAST, NORTH, UP, HEADING = range(4)
+"""First rows of `skyline.pose.Pose.covariance`; the others follow the heading."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AssumedErrors:
+    """Standard errors of a pose without a covariance: a person wrote it."""
+
+    position_sd_m: float = 10.0
+    """Of easting and northing: as a phone in the open or a map has them."""
+    elevation_sd_m: float = 7.0
+    """Of the eye: as the heights of a 30 m model, on whose ground the camera stands
+    (`skyline.terrain.heightfield.HeightField.height_sd_m`)."""
+    angle_sd_deg: float = 0.5
+    """Of an angle that is written to a whole degree, 0.3 degrees, and read no better than that."""
+    level_pitch_sd_deg: float = 6.0
+    """Of a pitch of exactly 0: nobody measured it, and so nearly level are cameras held."""
+    level_roll_sd_deg: float = 3.0
+    """Of a roll of exactly 0."""
+    fov_sd_share: float = 0.02
+    """Of a field of view, as a share of it: a person's word for a lens. A full turn is exact."""
+
+    def angles_deg(self, camera: Camera) -> tuple[float, float, float]:
+        """Return the standard errors of heading, pitch and roll."""
+        return (
+            self.angle_sd_deg,
+            self.angle_sd_deg if camera.pitch_deg else self.level_pitch_sd_deg,
+            self.angle_sd_deg if camera.roll_deg else self.level_roll_sd_deg,
+        )
+
+    def covariance(self, camera: Camera) -> Float64Array:
+        """Return the covariance (7, 7) of the unknowns of a camera's pose."""
+        half_width = camera.projection.half_width(camera.fov_deg)
+        narrower = camera.projection.half_width(camera.fov_deg * (1.0 - self._fov_share(camera)))
+        sds = [self.position_sd_m, self.position_sd_m, self.elevation_sd_m]
+        sds += map(math.radians, self.angles_deg(camera))
+        return np.diag(np.square([*sds, math.log(half_width / narrower)]))
+
+    def in_words(self, camera: Camera) -> str:
+        """Return the standard errors of a camera's pose in words."""
+        heading, pitch, roll = self.angles_deg(camera)
+        return (
+            f"place {self.position_sd_m:g} m, elevation {self.elevation_sd_m:g} m, heading "
+            f"{heading:g}, pitch {pitch:g} and roll {roll:g} degrees, field of view "
+            f"{100.0 * self._fov_share(camera):g} %"
+        )
+
+    def _fov_share(self, camera: Camera) -> float:
+        return self.fov_sd_share if camera.fov_deg < MAX_PANORAMA_DEG else 0.0
+
+
+ASSUMED = AssumedErrors()
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Bearings(Rows):
+    """Directions of N pixels, and how they change with the pose and the pixel."""
+
+    azimuth_rad: Float64Array
+    """(N,) float64. From grid north."""
+    elevation_tan: Float64Array
+    """(N,) float64."""
+    by_pose: Float64Array
+    """(N, 2, P) float64. Derivatives of azimuth and tangent by the unknowns of
+    `skyline.pose.Pose.covariance`; 0 for the place of the eye."""
+    by_pixel: Float64Array
+    """(N, 2, 2) float64. The same by a column to the right and a row down."""
+
+    @classmethod
+    def of(
+        cls, camera: Camera, column_px: ArrayLike, row_px: ArrayLike, unknowns: int
+    ) -> "Bearings":
+        """Return the directions of a camera's pixels; its pose has so many unknowns."""
+        azimuth_deg, tangent = camera.directions(column_px, row_px)
+        changes = np.stack(camera.changes(column_px, row_px), axis=1)
+        still = np.zeros((len(changes), 2, HEADING))
+        return cls(
+            azimuth_rad=np.radians(azimuth_deg),
+            elevation_tan=tangent,
+            by_pose=np.concatenate([still, changes], axis=2)[..., :unknowns],
+            by_pixel=camera.spans(column_px, row_px),
+        )
