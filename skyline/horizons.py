@@ -9,23 +9,24 @@ import io
 import logging
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from datetime import date
 from numbers import Real
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pyproj import Geod
+from pyproj import CRS
 
-from skyline.arrays import Float32Array, Float64Array, Progress, UInt8Array
+from skyline.arrays import Float32Array, Float64Array, Progress, UInt8Array, refuse_text
 from skyline.errors import InputError, library
-from skyline.geodesy.bounds import in_turn
+from skyline.geodesy.bounds import are_degrees, in_turn
+from skyline.geodesy.crs import WGS84, lonlat_of
 from skyline.geodesy.earth import Curvature
 from skyline.render.horizon import PanoramaRenderer
 from skyline.sky_view import sky_view_factor
 from skyline.skylines import MAX_WIDTH, Horizons
-from skyline.sun import Body, Interval, Sky, above, day_of
+from skyline.sun import Body, Interval, Sky, above, check_is_earth, day_of
 from skyline.terrain.dem import Dem, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.surface_model import read_surface
@@ -42,7 +43,6 @@ _NAMED = 10
 """Most places whose lines a legend tells apart: Matplotlib's colours repeat after ten."""
 _DIMS = {0: (), 1: ("point",), 2: ("y", "x")}
 """Names of the dimensions of places in datasets."""
-_WGS84 = Geod(ellps="WGS84")
 _log = logging.getLogger(__name__)
 
 if TYPE_CHECKING:
@@ -83,6 +83,8 @@ class LocalHorizons:
         a surface model.
     id : (...) str
         The name of each place, from ``ids`` or a file of places; else empty.
+    crs : pyproj.CRS
+        Of the longitudes and latitudes: WGS 84, or degrees on another world than the Earth.
     """
 
     lon: Float64Array
@@ -94,6 +96,7 @@ class LocalHorizons:
     flags: UInt8Array
     surface_deg: Float32Array
     id: NDArray[np.str_]
+    crs: CRS = field(default=WGS84)
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -126,13 +129,11 @@ class LocalHorizons:
     def reshape(self, *shape: int) -> LocalHorizons:
         """Return the places in another shape, row by row."""
         count = len(self.shape)
-        columns = {field.name: getattr(self, field.name) for field in fields(self)}
-        return LocalHorizons(
-            **{
-                name: np.reshape(values, (*shape, *np.shape(values)[count:]))
-                for name, values in columns.items()
-            }
-        )
+        columns = {
+            name: np.reshape(values, (*shape, *np.shape(values)[count:]))
+            for name, values in self._columns().items()
+        }
+        return replace(self, **columns)
 
     def sel(
         self, place_id: str | None = None, *, lon: float | None = None, lat: float | None = None
@@ -148,15 +149,16 @@ class LocalHorizons:
         Raises
         ------
         InputError
-            No place or several have the id, or neither an id nor a position is given.
+            No place or several have the id, the position is not in degrees, or neither or both of
+            them are given.
         """
         if place_id is None and lon is not None and lat is not None:
-            at = np.full(self.size, lon), np.full(self.size, lat)
-            away_m = _WGS84.inv(*at, self.lon.ravel(), self.lat.ravel())[2]
-            return self._taken(np.argmin(away_m))
+            return self._taken(self._nearest(lon, lat))
+        if lon is not None or lat is not None:
+            raise InputError("give either the id of a place, or both lon and lat")
         ids = np.ravel(self.id)
         found = np.flatnonzero(ids == place_id)
-        if lon is not None or lat is not None or len(found) != 1:
+        if len(found) != 1:
             known = ", ".join(dict.fromkeys(ids[ids != ""].tolist()[:_SHOWN])) or "none"
             raise InputError(
                 f"{len(found)} of {self.size} places have the id {place_id!r} (ids: {known}); give "
@@ -164,12 +166,27 @@ class LocalHorizons:
             )
         return self._taken(found[0])
 
+    def _nearest(self, lon: float, lat: float) -> int:
+        """Return the number of the place nearest to a position."""
+        refuse_text(lon=lon, lat=lat)
+        if np.size(lon) != 1 or np.size(lat) != 1 or not are_degrees(lon, lat):
+            raise InputError(
+                f"lon and lat are {lon} and {lat}; expected one position in degrees, a latitude "
+                "from -90 to 90"
+            )
+        at = np.full(self.size, lon), np.full(self.size, lat)
+        geod = self.crs.get_geod()
+        assert geod is not None
+        return int(np.argmin(geod.inv(*at, self.lon.ravel(), self.lat.ravel())[2]))
+
     def _taken(self, numbers: Any) -> LocalHorizons:
         """Return places by their numbers, row by row, in the numbers' shape."""
-        places = self.ravel()
-        return LocalHorizons(
-            **{field.name: getattr(places, field.name)[numbers] for field in fields(self)}
-        )
+        columns = self.ravel()._columns()
+        return replace(self, **{name: values[numbers] for name, values in columns.items()})
+
+    def _columns(self) -> dict[str, NDArray[Any]]:
+        """Return the attributes that have a row for each place."""
+        return {one.name: getattr(self, one.name) for one in fields(self) if one.name != "crs"}
 
     @property
     def _azimuths_deg(self) -> Float64Array:
@@ -210,8 +227,9 @@ class LocalHorizons:
         Raises
         ------
         InputError
-            PyEphem is not installed, the horizon is unknown at some azimuth, one of several places
-            is not chosen, or the day is not a date from 1583 to 9998.
+            PyEphem is not installed, the DEM is of another world than the Earth, the horizon is
+            unknown at some azimuth, one of several places is not chosen, or the day is not a date
+            from 1583 to 9998.
         """
         return self._above(Body.SUN, day, place)
 
@@ -225,7 +243,8 @@ class LocalHorizons:
     def sky(self, place: Place = None) -> Sky:
         """Return the sky over one place.
 
-        Raises `InputError` if PyEphem is not installed or one of several places is not chosen.
+        Raises `InputError` if PyEphem is not installed, the DEM is of another world than the Earth,
+        or one of several places is not chosen.
         """
         index = self._chosen(place)
         at = self.lon[index], self.lat[index], self.eye_elevation_m[index]
@@ -314,7 +333,11 @@ class LocalHorizons:
         return shown.getvalue() + (f"<p>and {more} more places</p>" if more > 0 else "")
 
     def _chosen(self, place: Place) -> Any:
-        """Return the index of one place; raises `InputError` unless there is one to take."""
+        """Return the index of one place under the Earth's sky.
+
+        Raises `InputError` unless there is one to take.
+        """
+        check_is_earth(self.crs)
         if place is None and self.size == 1:
             return (0,) * len(self.shape)
         index = () if place is None else np.atleast_1d(place).tolist()
@@ -381,8 +404,8 @@ class LocalHorizons:
         Returns
         -------
         geopandas.GeoDataFrame
-            Points in EPSG:4326 with ``id`` if the places have ids, ``lon``, ``lat``,
-            ``eye_elevation_m`` and the ``sky_view_factor`` of a level surface.
+            Points in `crs`, WGS 84 on the Earth, with ``id`` if the places have ids, ``lon``,
+            ``lat``, ``eye_elevation_m`` and the ``sky_view_factor`` of a level surface.
 
         Raises
         ------
@@ -395,7 +418,7 @@ class LocalHorizons:
             columns[name] = np.ravel(getattr(self, name))
         columns["sky_view_factor"] = np.ravel(self.sky_view_factor())
         points = geopandas.points_from_xy(columns["lon"], columns["lat"])
-        return geopandas.GeoDataFrame(columns, geometry=points, crs="EPSG:4326")
+        return geopandas.GeoDataFrame(columns, geometry=points, crs=self.crs)
 
     def to_xarray(self) -> Dataset:
         """Return the horizons as a dataset.
@@ -601,6 +624,7 @@ def horizons_of(
         rendered.flags[:, ::every],
         surface_deg,
         np.array(ids or [""] * len(eyes), dtype=np.str_),
+        lonlat_of(terrain.frame.crs),
     )
 
 

@@ -38,7 +38,7 @@ from skyline.pose import NotedPose, Pose
 from skyline.render.context import Closeable, RenderThread
 from skyline.render.horizon import RenderConfig, RenderedScene
 from skyline.skylines import HEADINGS, Views
-from skyline.sun import Body, Sky
+from skyline.sun import Body, Sky, check_is_earth
 from skyline.terrain.dem import Dem, read_dem
 from skyline.terrain.ray_casting import first_hits_m
 from skyline.terrain.viewpoints import (
@@ -584,8 +584,9 @@ class Viewer(Closeable):
         """Return the sun and the moon at a time, those whose middle is in the picture.
 
         Raises `OffMapError` for a pose off the map or on a hole, and `InputError` as `look`, or if
-        PyEphem is not installed.
+        PyEphem is not installed or the DEM is of another world than the Earth.
         """
+        check_is_earth(self.terrain.frame.crs)
         photo.projection.check_fov_deg(pose.fov_deg)
         eye = self._standing(pose)
         sky = Sky(pose.lon, pose.lat, float(eye.eye_elevation_m[0]))

@@ -10,7 +10,7 @@ from skyline.errors import InputError
 from skyline.geodesy.earth import Curvature
 from skyline.pose import Pose
 from skyline.pose_file import angle_sds_in, lacking_sds, read_posed
-from skyline.sun import Body, Sky
+from skyline.sun import Body, Sky, check_is_earth
 from skyline.sun_clock import (
     ClockTime,
     Pixel,
@@ -85,6 +85,7 @@ def tell_when(task: WhenTask, listener: Listener) -> Told:
     errors = PointingErrors(**sds)
     with listener.slow("reading the elevation model"):
         terrain = read_dem(task.dem, DemOptions(crs=task.crs))
+    check_is_earth(terrain.frame.crs)
     with Viewer(terrain) as viewer:
         pose = shown_pose(noted, viewer, listener)
     # At a known time the heading is asked for: the heading that was given tells nothing.
