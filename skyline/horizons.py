@@ -30,7 +30,7 @@ from skyline.sun import Body, Interval, Sky, above, check_is_earth, day_of
 from skyline.terrain.dem import Dem, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.surface_model import read_surface
-from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, stand_at
+from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, stand_at, together
 
 DEFAULT_STEP_DEG = 0.5
 _AT_ONCE = 2048
@@ -129,7 +129,7 @@ class LocalHorizons:
     def reshape(self, *shape: int) -> LocalHorizons:
         """Return the places in another shape, row by row."""
         count = len(self.shape)
-        columns = {
+        columns: dict[str, Any] = {
             name: np.reshape(values, (*shape, *np.shape(values)[count:]))
             for name, values in self._columns().items()
         }
@@ -184,7 +184,7 @@ class LocalHorizons:
         columns = self.ravel()._columns()
         return replace(self, **{name: values[numbers] for name, values in columns.items()})
 
-    def _columns(self) -> dict[str, NDArray[Any]]:
+    def _columns(self) -> dict[str, Any]:
         """Return the attributes that have a row for each place."""
         return {one.name: getattr(self, one.name) for one in fields(self) if one.name != "crs"}
 
@@ -531,6 +531,7 @@ def horizon(  # noqa: PLR0913  (independent conditions)
     terrain : path, paths, DataArray or HeightField
         The elevation model; read it once with `read_dem` for several calls.
     lon, lat : array_like, degrees (WGS 84), broadcast to the shape of the result
+        DataArrays are broadcast by the names of their dimensions, the latitude's first.
     eye_height_m : array_like, metres above ground
     step_deg : float
         Step between azimuths; the first azimuth is true north.
@@ -558,10 +559,10 @@ def horizon(  # noqa: PLR0913  (independent conditions)
     """
     steps_a_turn(step_deg)
     terrain = read_dem(terrain)
-    eyes = stand_at(
-        terrain, lon=lon, lat=lat, eye_height_m=eye_height_m, summit_within_m=summit_within_m
-    )
-    shape = np.broadcast_shapes(*map(np.shape, (lon, lat, eye_height_m)))
+    places = together(lon=lon, lat=lat, eye_height_m=eye_height_m)
+    shape = places[0].shape
+    east, north, up = (one.ravel() for one in places)
+    eyes = stand_at(terrain, lon=east, lat=north, eye_height_m=up, summit_within_m=summit_within_m)
     names = np.full(shape, "") if ids is None else np.asarray(ids, dtype=np.str_)
     if names.shape != shape:
         raise InputError(

@@ -6,13 +6,15 @@ They are given as arrays or in a CSV file.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import compress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from skyline.arrays import BoolArray, Float64Array, Int64Array, Rows, UInt8Array, refuse_text
-from skyline.errors import InputError, OffMapError, printable, swapped_in_words
+from skyline.errors import InputError, OffMapError, library, printable, swapped_in_words
 from skyline.geodesy.earth import GROUND_M
 from skyline.skylines import HEADINGS
 from skyline.tables import Table, read_table
@@ -28,6 +30,8 @@ An eye that seems lower stands where the terrain model is too high."""
 
 HIGHEST_EYE_M = 20_000.0
 """Greatest elevation of an eye, above all aeroplanes from which people take photos."""
+_ROUNDING_M = 1e-3
+"""Degrees with eight decimals, as files have them, are rounded to a millimetre."""
 _POSITIONS = (("easting", "northing"), ("lon", "lat"))
 _HEIGHTS = ("eye_height_m", "eye_elevation_m")
 _LABELS = ("id", "name")
@@ -164,7 +168,7 @@ def position_on(
     position off the map.
     """
     lon, lat = _flat(lon=lon_deg, lat=lat_deg)
-    easting, northing = field.frame.from_lonlat(lon, lat)
+    easting, northing = _onto_border(field, *field.frame.from_lonlat(lon, lat))
     outside = np.flatnonzero(~is_on_map(field, easting, northing))
     if outside.size:
         first = outside[0]
@@ -259,6 +263,20 @@ def _first_of(failing: Int64Array, count: int) -> str:
     return "the place" if count == 1 else f"viewpoint {failing[0]} ({failing.size} such)"
 
 
+def _onto_border(
+    field: HeightField, easting_m: Float64Array, northing_m: Float64Array
+) -> tuple[Float64Array, Float64Array]:
+    """Return positions, those that rounding put off the map back on its border.
+
+    Otherwise the outermost samples, whose degrees are rounded, would be off their own map.
+    """
+    west, south, east, north = field.bounds_m
+    inside = np.clip(easting_m, west, east), np.clip(northing_m, south, north)
+    is_rounding = np.hypot(inside[0] - easting_m, inside[1] - northing_m) < _ROUNDING_M
+    easting, northing = np.where(is_rounding, inside, (easting_m, northing_m))
+    return easting, northing
+
+
 def is_on_map(field: HeightField, easting_m: ArrayLike, northing_m: ArrayLike) -> BoolArray:
     """Return a mask of the positions that lie on a map."""
     west, south, east, north = field.bounds_m
@@ -267,23 +285,51 @@ def is_on_map(field: HeightField, easting_m: ArrayLike, northing_m: ArrayLike) -
     return (west <= easting) & (easting <= east) & (south <= northing) & (northing <= north)
 
 
-def _flat(**values: ArrayLike) -> list[Float64Array]:
-    """Return values broadcast to (N,); raises `InputError` unless they are finite numbers."""
+def together(**values: ArrayLike) -> list[Float64Array]:
+    """Return named values broadcast together.
+
+    Arrays of xarray are broadcast by the names of their dimensions, all others by position. Raises
+    `InputError` unless the values are finite numbers.
+    """
     refuse_text(**values)
     try:
         numbers = [
-            np.ma.filled(np.asanyarray(v, dtype=np.float64), np.nan) for v in values.values()
+            np.ma.filled(np.asanyarray(v, dtype=np.float64), np.nan)
+            for v in _by_dimensions(*values.values())
         ]
-        arrays = np.broadcast_arrays(*map(np.atleast_1d, numbers))
+        arrays = np.broadcast_arrays(*numbers)
     except (TypeError, ValueError, OverflowError) as error:
         raise InputError(
             f"coordinates and heights of places cannot be used ({' '.join(str(error).split())}); "
             "expected numbers, as many latitudes as longitudes"
         ) from error
-    flat = [np.ascontiguousarray(array).reshape(-1) for array in arrays]
-    if not all(np.isfinite(array).all() for array in flat):
-        raise InputError("a viewpoint has a coordinate that is masked or not a finite number")
-    return flat
+    for name, array in zip(values, arrays, strict=True):
+        unknown = np.flatnonzero(~np.isfinite(array))
+        if unknown.size:
+            raise InputError(
+                f"{name} of {_first_of(unknown, array.size)} is masked or not a finite number; "
+                "correct it, or leave the place out"
+            )
+    return list(arrays)
+
+
+def _by_dimensions(*values: Any) -> list[Any]:
+    """Return values, with those that have named dimensions broadcast by the names.
+
+    By position, the two axes of a square raster would give the places of its diagonal. The
+    dimensions of the last value come first, so that x and y make rows of y.
+    """
+    is_named = [bool(getattr(one, "dims", ())) and hasattr(one, "coords") for one in values]
+    if sum(is_named) < 2:
+        return list(values)
+    xarray = library("xarray", "a DataArray")
+    named = reversed(xarray.broadcast(*reversed([*compress(values, is_named)])))
+    return [next(named) if by_name else one for one, by_name in zip(values, is_named, strict=True)]
+
+
+def _flat(**values: ArrayLike) -> list[Float64Array]:
+    """Return values broadcast to (N,); raises as `together`."""
+    return [np.ascontiguousarray(array).reshape(-1) for array in together(**values)]
 
 
 def _check_heights(eye_height_m: Float64Array) -> None:
