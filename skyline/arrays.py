@@ -60,7 +60,8 @@ class ShortRepr:
     __slots__ = ()
 
     def __repr__(self) -> str:
-        names = cast(Any, self).__dataclass_fields__
+        fields = cast(Any, self).__dataclass_fields__.values()
+        names = [field.name for field in fields if field.repr]
         shown = ", ".join(f"{name}={_short(getattr(self, name))}" for name in names)
         return f"{type(self).__name__}({shown})"
 

@@ -21,7 +21,7 @@ from pyproj import CRS
 from skyline.arrays import Float32Array, Float64Array, Progress, UInt8Array, refuse_text
 from skyline.errors import InputError, library
 from skyline.geodesy.bounds import are_degrees, in_turn
-from skyline.geodesy.crs import WGS84, lonlat_of
+from skyline.geodesy.crs import WGS84
 from skyline.geodesy.earth import Curvature
 from skyline.render.horizon import PanoramaRenderer
 from skyline.sky_view import sky_view_factor
@@ -625,7 +625,7 @@ def horizons_of(
         rendered.flags[:, ::every],
         surface_deg,
         np.array(ids or [""] * len(eyes), dtype=np.str_),
-        lonlat_of(terrain.frame.crs),
+        terrain.frame.lonlat_crs,
     )
 
 

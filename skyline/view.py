@@ -11,18 +11,20 @@ import json
 import math
 import warnings
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
 from threading import Lock
 from typing import TYPE_CHECKING
 
 import numpy as np
+from pyproj import CRS
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, Progress, ShortRepr, refuse_text
 from skyline.errors import InputError, library, suffix_of
 from skyline.files import write_whole
 from skyline.geodesy.bounds import in_turn
+from skyline.geodesy.crs import WGS84
 from skyline.geodesy.earth import Curvature
 from skyline.ground import GroundView
 from skyline.peaks import (
@@ -218,6 +220,8 @@ class PixelPlaces(ShortRepr):
         Metres above the DEM's datum.
     step : int
         Row r and column c are pixel ``step * r`` and ``step * c`` of the photo.
+    crs : pyproj.CRS
+        Of the longitudes and latitudes: WGS 84, or degrees on another world than the Earth.
     """
 
     distance_m: Float32Array
@@ -225,6 +229,7 @@ class PixelPlaces(ShortRepr):
     lat: Float64Array
     elevation_m: Float32Array
     step: int = 1
+    crs: CRS = field(default=WGS84, repr=False)
 
     def to_xarray(self) -> Dataset:
         """Return the places as a dataset, NaN for sky.
@@ -282,7 +287,7 @@ class PixelPlaces(ShortRepr):
         Returns
         -------
         geopandas.GeoDataFrame
-            Points in EPSG:4326, with the columns of `to_dataframe`.
+            Points in `crs`, WGS 84 on the Earth, with the columns of `to_dataframe`.
 
         Raises
         ------
@@ -292,7 +297,7 @@ class PixelPlaces(ShortRepr):
         geopandas = library("geopandas", "a GeoDataFrame")
         table = self.to_dataframe()
         points = geopandas.points_from_xy(table["lon"], table["lat"])
-        return geopandas.GeoDataFrame(table, geometry=points, crs="EPSG:4326")
+        return geopandas.GeoDataFrame(table, geometry=points, crs=self.crs)
 
     def save(self, path: str | Path, pose: Pose) -> None:
         """Write the places, and the pose from which they are seen.
@@ -527,6 +532,7 @@ class Viewer(Closeable):
             lat=np.where(is_sky, np.nan, lat),
             elevation_m=elevation_m.astype(np.float32),
             step=step,
+            crs=self.frame.lonlat_crs,
         )
 
     def ground_view(self, pose: Pose, photo: PhotoSkyline) -> GroundView:

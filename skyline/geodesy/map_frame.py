@@ -127,8 +127,13 @@ class Frame:
         return Geod(a=a_m, b=b_m)
 
     @cached_property
+    def lonlat_crs(self) -> CRS:
+        """The CRS of the frame's degrees: WGS 84, or another world's."""
+        return lonlat_of(self.crs)
+
+    @cached_property
     def _to_lonlat(self) -> Transformer:
-        return transformer(self.crs, lonlat_of(self.crs))
+        return transformer(self.crs, self.lonlat_crs)
 
     def to_lonlat(
         self, easting_m: ArrayLike, northing_m: ArrayLike
