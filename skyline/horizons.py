@@ -41,6 +41,8 @@ _SHOWN = 5
 """Places that a notebook shows, and ids that an error names."""
 _NAMED = 10
 """Most places whose lines a legend tells apart: Matplotlib's colours repeat after ten."""
+_MISSING = ("None", "nan", "<NA>")
+"""Ids that are missing, as Python, NumPy and pandas print them."""
 _DIMS = {0: (), 1: ("point",), 2: ("y", "x")}
 """Names of the dimensions of places in datasets."""
 _log = logging.getLogger(__name__)
@@ -563,7 +565,7 @@ def horizon(  # noqa: PLR0913  (independent conditions)
     shape = places[0].shape
     east, north, up = (one.ravel() for one in places)
     eyes = stand_at(terrain, lon=east, lat=north, eye_height_m=up, summit_within_m=summit_within_m)
-    names = np.full(shape, "") if ids is None else np.asarray(ids, dtype=np.str_)
+    names = np.full(shape, "") if ids is None else _names_of(ids)
     if names.shape != shape:
         raise InputError(
             f"the places have the shape {shape}, and the ids {names.shape}; give an id for each"
@@ -573,6 +575,16 @@ def horizon(  # noqa: PLR0913  (independent conditions)
         terrain, eyes, step_deg, curvature, surface=over, ids=names.ravel().tolist()
     )
     return found.reshape(*shape)
+
+
+def _names_of(ids: ArrayLike) -> NDArray[np.str_]:
+    """Return ids as texts; one that is missing, as in a table of pandas, is empty."""
+    given = np.asarray(ids, dtype=object)
+    names = [
+        "" if not isinstance(one, str) and str(one) in _MISSING else str(one)
+        for one in given.ravel().tolist()
+    ]
+    return np.array(names, dtype=np.str_).reshape(given.shape)
 
 
 def horizons_of(

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from pyproj import CRS
 
-from skyline.arrays import BoolArray, Float32Array, Float64Array, Progress, ShortRepr, refuse_text
+from skyline.arrays import BoolArray, Float32Array, Float64Array, Progress, ShortRepr
 from skyline.errors import InputError, library, suffix_of
 from skyline.files import write_whole
 from skyline.geodesy.bounds import in_turn
@@ -51,6 +51,7 @@ from skyline.terrain.viewpoints import (
     check_eye_elevation,
     stand_at_one,
     stand_on,
+    together,
 )
 
 if TYPE_CHECKING:
@@ -406,9 +407,11 @@ class Viewer(Closeable):
         ------
         OffMapError
             The place is off the map or on a hole, or the eye is below the ground.
+        InputError
+            One of the values is not a finite number.
         """
-        refuse_text(heading_deg=heading_deg, pitch_deg=pitch_deg, roll_deg=roll_deg)
-        refuse_text(fov_deg=fov_deg, eye_height_m=eye_height_m)
+        together(heading_deg=heading_deg, pitch_deg=pitch_deg, roll_deg=roll_deg)
+        together(fov_deg=fov_deg, eye_height_m=eye_height_m)
         ground = stand_at_one(self.terrain, lon=lon, lat=lat, eye_height_m=0.0)
         eye_m = ground.eye_elevation_m + eye_height_m
         eye = at_elevation(self.terrain, ground.easting_m, ground.northing_m, eye_m)

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from skyline.arrays import BoolArray, Float64Array, Int64Array, Rows, UInt8Array, refuse_text
 from skyline.errors import InputError, OffMapError, library, printable, swapped_in_words
+from skyline.geodesy.bounds import are_degrees
 from skyline.geodesy.earth import GROUND_M
 from skyline.skylines import HEADINGS
 from skyline.tables import Table, read_table
@@ -174,7 +175,9 @@ def position_on(
         first = outside[0]
         box = field.box_deg
         remedy = "give another place, or a DEM that covers it"
-        if is_on_map(field, *field.frame.from_lonlat(lat[first], lon[first])):
+        if not are_degrees(lon[first], lat[first]):
+            remedy = "give degrees, not eastings and northings"
+        elif is_on_map(field, *field.frame.from_lonlat(lat[first], lon[first])):
             remedy = swapped_in_words(lon[first], lat[first])
         raise OffMapError(
             f"{_first_of(outside, len(lon))} at lon {lon[first]:.5f}, lat {lat[first]:.5f} is off "

@@ -109,6 +109,17 @@ def test_the_corner_of_a_map_is_on_it_and_a_metre_aside_is_not(rough):
         horizon(rough, lon=lon, lat=lat, step_deg=7.5)
 
 
+def test_eastings_are_said_to_be_no_degrees(rough):
+    with pytest.raises(OffMapError, match="give degrees"):
+        horizon(rough, lon=EAST_M + 100.0, lat=NORTH_M - 100.0)
+
+
+def test_an_id_that_a_table_lacks_is_empty(rough):
+    lon, lat = places_on(rough, 3)
+    ids = pd.Series(["A", None, np.nan], dtype=object)
+    assert horizon(rough, lon=lon, lat=lat, step_deg=45.0, ids=ids).id.tolist() == ["A", "", ""]
+
+
 def test_a_place_without_a_longitude_is_named(rough):
     lon, lat = places_on(rough, 3)
     lon[1] = np.nan
