@@ -48,7 +48,7 @@ _QUICK_M = 3000.0
 _QUICK_GRIDS_M = (256.0, 64.0)
 """Grids with fewer and with more renderings than the first plans have in this square."""
 _QUICK_QUERIES = 3
-_AGAINST_UNIFORM = """store matcher queries km2 n renderings mean_m
+AGAINST_UNIFORM = """store matcher queries km2 n renderings mean_m
     uniform_mean_m=uniform_mean_m,_interpolated gain
     uniform_renderings=uniform_renderings,_interpolated share"""
 _HELP_COLUMNS = 78
@@ -75,6 +75,11 @@ class Search:
     # West, south, east, north of the area; by default all of the DEM, or what a given store covers.
     bounds_deg: Bounds | None = None
     seed: int = 0  # Seed of the queries
+
+    def shown(self, rows: Sequence[Row]) -> list[Row]:
+        """Return the rows that are printed: those of groups only where `columns` name the group."""
+        by_group = "group" in self.columns
+        return [row for row in rows if by_group or row["group"] == trials.ALL]
 
     def area_deg(self) -> Bounds | None:
         """Return the bounds of the area; None for all of the DEM."""
@@ -409,14 +414,11 @@ def command_of(name: str, search: Search) -> Callable[..., None]:
                 ]
         if strange:
             rows = [{**row, "strange": [Path(path).name for path in strange]} for row in rows]
-        by_group = "group" in search.columns
-        options.print_rows(
-            [row for row in rows if by_group or row["group"] == trials.ALL], search.columns
-        )
+        options.print_rows(search.shown(rows), search.columns)
         summary = {}
         if name == "uniform-adaptive":
             summary["against_uniform"] = trials.against_uniform(rows)
-            options.print_rows(summary["against_uniform"], _AGAINST_UNIFORM)
+            options.print_rows(summary["against_uniform"], AGAINST_UNIFORM)
         write_record(
             record,
             rows,
