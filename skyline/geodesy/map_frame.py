@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pyproj import CRS, Geod, Transformer
 
-from skyline.arrays import Complex128Array, Float64Array, refuse_text
+from skyline.arrays import Complex128Array, Float64Array, by_dimensions, refuse_text
 from skyline.errors import InputError
 from skyline.geodesy.bounds import Bounds, check_bounds, width_deg
 from skyline.geodesy.crs import (
@@ -143,6 +143,7 @@ class Frame:
         On another world than the Earth they are on its own ellipsoid.
         """
         refuse_text(easting_m=easting_m, northing_m=northing_m)
+        easting_m, northing_m = by_dimensions(easting_m, northing_m)
         lon, lat = self._to_lonlat.transform(easting_m, northing_m)
         return np.asarray(lon, dtype=np.float64), np.asarray(lat, dtype=np.float64)
 
@@ -164,6 +165,7 @@ class Frame:
     def from_lonlat(self, lon: ArrayLike, lat: ArrayLike) -> tuple[Float64Array, Float64Array]:
         """Return easting and northing in metres of longitudes and latitudes (WGS 84)."""
         refuse_text(lon=lon, lat=lat)
+        lon, lat = by_dimensions(lon, lat)
         easting, northing = self._to_lonlat.transform(lon, lat, direction="INVERSE")
         return np.asarray(easting, dtype=np.float64), np.asarray(northing, dtype=np.float64)
 

@@ -6,15 +6,21 @@ They are given as arrays or in a CSV file.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import compress
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from skyline.arrays import BoolArray, Float64Array, Int64Array, Rows, UInt8Array, refuse_text
-from skyline.errors import InputError, OffMapError, library, printable, swapped_in_words
+from skyline.arrays import (
+    BoolArray,
+    Float64Array,
+    Int64Array,
+    Rows,
+    UInt8Array,
+    by_dimensions,
+    refuse_text,
+)
+from skyline.errors import InputError, OffMapError, printable, swapped_in_words
 from skyline.geodesy.bounds import are_degrees
 from skyline.geodesy.earth import GROUND_M
 from skyline.skylines import HEADINGS
@@ -298,7 +304,7 @@ def together(**values: ArrayLike) -> list[Float64Array]:
     try:
         numbers = [
             np.ma.filled(np.asanyarray(v, dtype=np.float64), np.nan)
-            for v in _by_dimensions(*values.values())
+            for v in by_dimensions(*values.values())
         ]
         arrays = np.broadcast_arrays(*numbers)
     except (TypeError, ValueError, OverflowError) as error:
@@ -314,20 +320,6 @@ def together(**values: ArrayLike) -> list[Float64Array]:
                 "correct it, or leave the place out"
             )
     return list(arrays)
-
-
-def _by_dimensions(*values: Any) -> list[Any]:
-    """Return values, with those that have named dimensions broadcast by the names.
-
-    By position, the two axes of a square raster would give the places of its diagonal. The
-    dimensions of the last value come first, so that x and y make rows of y.
-    """
-    is_named = [bool(getattr(one, "dims", ())) and hasattr(one, "coords") for one in values]
-    if sum(is_named) < 2:
-        return list(values)
-    xarray = library("xarray", "a DataArray")
-    named = reversed(xarray.broadcast(*reversed([*compress(values, is_named)])))
-    return [next(named) if by_name else one for one, by_name in zip(values, is_named, strict=True)]
 
 
 def _flat(**values: ArrayLike) -> list[Float64Array]:

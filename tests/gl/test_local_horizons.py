@@ -90,6 +90,8 @@ def test_the_axes_of_a_square_raster_are_broadcast_by_their_names(rough):
     assert grid.shape == (3, 3)
     np.testing.assert_allclose(grid.lon[1], lon)
     np.testing.assert_allclose(grid.lat[:, 1], lat)
+    heights_m = rough.height_at(lon=axes[0], lat=axes[1])
+    np.testing.assert_allclose(heights_m[1, 2], rough.height_at(lon=lon[2], lat=lat[1]))
 
 
 def test_heights_of_eyes_are_broadcast_with_the_places(rough):
