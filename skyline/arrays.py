@@ -2,12 +2,13 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from itertools import compress
 from typing import Any, Self, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from skyline.errors import InputError
+from skyline.errors import InputError, library
 
 FloatArray = NDArray[np.floating]
 Float64Array = NDArray[np.float64]
@@ -51,6 +52,20 @@ def refuse_text(**given: object) -> None:
                 )
 
 
+def by_dimensions(*values: Any) -> list[Any]:
+    """Return values, with those that have named dimensions broadcast by the names.
+
+    By position, the two axes of a square raster would give the places of its diagonal. The
+    dimensions of the last value come first, so that x and y make rows of y.
+    """
+    is_named = [bool(getattr(one, "dims", ())) and hasattr(one, "coords") for one in values]
+    if sum(is_named) < 2:
+        return list(values)
+    xarray = library("xarray", "a DataArray")
+    named = reversed(xarray.broadcast(*reversed([*compress(values, is_named)])))
+    return [next(named) if by_name else one for one, by_name in zip(values, is_named, strict=True)]
+
+
 class ShortRepr:
     """Base of dataclasses that are printed in a line, with the shapes of their arrays.
 
@@ -60,7 +75,8 @@ class ShortRepr:
     __slots__ = ()
 
     def __repr__(self) -> str:
-        names = cast(Any, self).__dataclass_fields__
+        fields = cast(Any, self).__dataclass_fields__.values()
+        names = [field.name for field in fields if field.repr]
         shown = ", ".join(f"{name}={_short(getattr(self, name))}" for name in names)
         return f"{type(self).__name__}({shown})"
 

@@ -16,7 +16,7 @@ from pyproj import CRS
 
 from skyline.arrays import Float32Array, Float64Array, IntArray, Progress, refuse_text
 from skyline.errors import InputError, library
-from skyline.geodesy.crs import transformer
+from skyline.geodesy.crs import lonlat_of, transformer
 from skyline.geodesy.earth import Curvature
 from skyline.horizons import steps_a_turn
 from skyline.render.horizon import PanoramaRenderer
@@ -35,8 +35,6 @@ GRID_EYE_HEIGHT_M = 0.1
 """Height above ground: an eye on the ground itself, that rounding does not put below it."""
 _AT_ONCE = 4096
 """About as many eyes are rendered between two reports of progress."""
-
-_WGS84 = CRS.from_epsg(4326)
 
 _Look = Callable[["_Eyes", IntArray, IntArray], Float32Array]
 """Returns what eyes of some rows and columns see, the samples' dimensions last."""
@@ -67,7 +65,7 @@ def sky_view_grid(
     eye_height_m : float
         Metres above ground.
     curvature : Curvature, optional
-        Defaults to the Earth's with k = 0.13.
+        Defaults to `Frame.curvature`: the Earth's with k = 0.13, or another world's.
     progress : callable, optional
         Called with the number of samples that are done, and of all; not for a DataArray in chunks,
         whose progress `dask.diagnostics.ProgressBar` shows.
@@ -75,7 +73,8 @@ def sky_view_grid(
     Returns
     -------
     xarray.DataArray
-        (y, x) float32, 0 to 1; NaN where the DEM has no height.
+        (y, x) float32, 0 to 1; NaN where the DEM has no height, and at its outermost samples, whose
+        horizon is known on one side only.
 
     Raises
     ------
@@ -236,7 +235,8 @@ class _Grid:
         if self.crs is None:
             # Rounding must not put the outermost samples off the map.
             return self.field.to_map(*map(np.rint, self.field.to_grid(easting_m=x, northing_m=y)))
-        return self.field.frame.from_lonlat(*transformer(self.crs, _WGS84).transform(x, y))
+        to_lonlat = transformer(self.crs, lonlat_of(self.crs))
+        return self.field.frame.from_lonlat(*to_lonlat.transform(x, y))
 
     def labelled(
         self, name: str, data: Any, about: dict[str, str], first: dict[str, Any] | None = None

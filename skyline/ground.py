@@ -64,7 +64,7 @@ class GroundErrors:
                 raise InputError(f"{name} is {value:g}; expected 0 or more")
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
 class GroundPoints(Rows):
     """N places on the ground that pixels show.
 
@@ -112,7 +112,7 @@ class GroundPoints(Rows):
         return ellipse_axes(np.nan_to_num(self.covariance_m2[:, :2, :2]))
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
 class GroundPixels(Rows):
     """N places of the ground in a photo."""
 

@@ -9,27 +9,28 @@ import io
 import logging
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from datetime import date
 from numbers import Real
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pyproj import Geod
+from pyproj import CRS
 
-from skyline.arrays import Float32Array, Float64Array, Progress, UInt8Array
+from skyline.arrays import Float32Array, Float64Array, Progress, UInt8Array, refuse_text
 from skyline.errors import InputError, library
-from skyline.geodesy.bounds import in_turn
+from skyline.geodesy.bounds import are_degrees, in_turn
+from skyline.geodesy.crs import WGS84
 from skyline.geodesy.earth import Curvature
 from skyline.render.horizon import PanoramaRenderer
 from skyline.sky_view import sky_view_factor
 from skyline.skylines import MAX_WIDTH, Horizons
-from skyline.sun import Body, Interval, Sky, above, day_of
+from skyline.sun import Body, Interval, Sky, above, check_is_earth, day_of
 from skyline.terrain.dem import Dem, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.surface_model import read_surface
-from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, stand_at
+from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, stand_at, together
 
 DEFAULT_STEP_DEG = 0.5
 _AT_ONCE = 2048
@@ -40,9 +41,10 @@ _SHOWN = 5
 """Places that a notebook shows, and ids that an error names."""
 _NAMED = 10
 """Most places whose lines a legend tells apart: Matplotlib's colours repeat after ten."""
+_MISSING = ("None", "nan", "<NA>")
+"""Ids that are missing, as Python, NumPy and pandas print them."""
 _DIMS = {0: (), 1: ("point",), 2: ("y", "x")}
 """Names of the dimensions of places in datasets."""
-_WGS84 = Geod(ellps="WGS84")
 _log = logging.getLogger(__name__)
 
 if TYPE_CHECKING:
@@ -80,6 +82,8 @@ class LocalHorizons:
         a surface model.
     id : (...) str
         The name of each place, from ``ids`` or a file of places; else empty.
+    crs : pyproj.CRS
+        Of the longitudes and latitudes: WGS 84, or degrees on another world than the Earth.
     """
 
     lon: Float64Array
@@ -91,6 +95,7 @@ class LocalHorizons:
     flags: UInt8Array
     surface_deg: Float32Array
     id: NDArray[np.str_]
+    crs: CRS = field(default=WGS84)
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -123,13 +128,11 @@ class LocalHorizons:
     def reshape(self, *shape: int) -> LocalHorizons:
         """Return the places in another shape, row by row."""
         count = len(self.shape)
-        columns = {field.name: getattr(self, field.name) for field in fields(self)}
-        return LocalHorizons(
-            **{
-                name: np.reshape(values, (*shape, *np.shape(values)[count:]))
-                for name, values in columns.items()
-            }
-        )
+        columns: dict[str, Any] = {
+            name: np.reshape(values, (*shape, *np.shape(values)[count:]))
+            for name, values in self._columns().items()
+        }
+        return replace(self, **columns)
 
     def sel(
         self, place_id: str | None = None, *, lon: float | None = None, lat: float | None = None
@@ -145,15 +148,16 @@ class LocalHorizons:
         Raises
         ------
         InputError
-            No place or several have the id, or neither an id nor a position is given.
+            No place or several have the id, the position is not in degrees, or neither or both of
+            them are given.
         """
         if place_id is None and lon is not None and lat is not None:
-            at = np.full(self.size, lon), np.full(self.size, lat)
-            away_m = _WGS84.inv(*at, self.lon.ravel(), self.lat.ravel())[2]
-            return self._taken(np.argmin(away_m))
+            return self._taken(self._nearest(lon, lat))
+        if lon is not None or lat is not None:
+            raise InputError("give either the id of a place, or both lon and lat")
         ids = np.ravel(self.id)
         found = np.flatnonzero(ids == place_id)
-        if lon is not None or lat is not None or len(found) != 1:
+        if len(found) != 1:
             known = ", ".join(dict.fromkeys(ids[ids != ""].tolist()[:_SHOWN])) or "none"
             raise InputError(
                 f"{len(found)} of {self.size} places have the id {place_id!r} (ids: {known}); give "
@@ -161,12 +165,27 @@ class LocalHorizons:
             )
         return self._taken(found[0])
 
+    def _nearest(self, lon: float, lat: float) -> int:
+        """Return the number of the place nearest to a position."""
+        refuse_text(lon=lon, lat=lat)
+        if np.size(lon) != 1 or np.size(lat) != 1 or not are_degrees(lon, lat):
+            raise InputError(
+                f"lon and lat are {lon} and {lat}; expected one position in degrees, a latitude "
+                "from -90 to 90"
+            )
+        at = np.full(self.size, lon), np.full(self.size, lat)
+        geod = self.crs.get_geod()
+        assert geod is not None
+        return int(np.argmin(geod.inv(*at, self.lon.ravel(), self.lat.ravel())[2]))
+
     def _taken(self, numbers: Any) -> LocalHorizons:
         """Return places by their numbers, row by row, in the numbers' shape."""
-        places = self.ravel()
-        return LocalHorizons(
-            **{field.name: getattr(places, field.name)[numbers] for field in fields(self)}
-        )
+        columns = self.ravel()._columns()
+        return replace(self, **{name: values[numbers] for name, values in columns.items()})
+
+    def _columns(self) -> dict[str, Any]:
+        """Return the attributes that have a row for each place."""
+        return {one.name: getattr(self, one.name) for one in fields(self) if one.name != "crs"}
 
     @property
     def _azimuths_deg(self) -> Float64Array:
@@ -207,8 +226,9 @@ class LocalHorizons:
         Raises
         ------
         InputError
-            PyEphem is not installed, the horizon is unknown at some azimuth, there are several
-            places, or the day is not a date from 1583 to 9998.
+            PyEphem is not installed, the DEM is of another world than the Earth, the horizon is
+            unknown at some azimuth, there are several places, or the day is not a date from 1583 to
+            9998.
         """
         return self._above(Body.SUN, day)
 
@@ -222,12 +242,15 @@ class LocalHorizons:
     def sky(self) -> Sky:
         """Return the sky over the place.
 
-        Raises `InputError` if PyEphem is not installed or there are several places.
+        Raises `InputError` if PyEphem is not installed, the DEM is of another world than the Earth,
+        or there are several places.
         """
+        check_is_earth(self.crs)
         one = self._only
         return Sky(float(one.lon), float(one.lat), float(one.eye_elevation_m))
 
     def _above(self, body: Body, day: date | str) -> list[Interval]:
+        check_is_earth(self.crs)
         one = self._only
         return above(
             day_of(day),
@@ -370,8 +393,8 @@ class LocalHorizons:
         Returns
         -------
         geopandas.GeoDataFrame
-            Points in EPSG:4326 with ``id`` if the places have ids, ``lon``, ``lat``,
-            ``eye_elevation_m`` and the ``sky_view_factor`` of a level surface.
+            Points in `crs`, WGS 84 on the Earth, with ``id`` if the places have ids, ``lon``,
+            ``lat``, ``eye_elevation_m`` and the ``sky_view_factor`` of a level surface.
 
         Raises
         ------
@@ -384,7 +407,7 @@ class LocalHorizons:
             columns[name] = np.ravel(getattr(self, name))
         columns["sky_view_factor"] = np.ravel(self.sky_view_factor())
         points = geopandas.points_from_xy(columns["lon"], columns["lat"])
-        return geopandas.GeoDataFrame(columns, geometry=points, crs="EPSG:4326")
+        return geopandas.GeoDataFrame(columns, geometry=points, crs=self.crs)
 
     def to_xarray(self) -> Dataset:
         """Return the horizons as a dataset.
@@ -497,6 +520,7 @@ def horizon(  # noqa: PLR0913  (independent conditions)
     terrain : path, paths, DataArray or HeightField
         The elevation model; read it once with `read_dem` for several calls.
     lon, lat : array_like, degrees (WGS 84), broadcast to the shape of the result
+        DataArrays are broadcast by the names of their dimensions, the latitude's first.
     eye_height_m : array_like, metres above ground
     step_deg : float
         Step between azimuths; the first azimuth is true north.
@@ -524,11 +548,11 @@ def horizon(  # noqa: PLR0913  (independent conditions)
     """
     steps_a_turn(step_deg)
     terrain = read_dem(terrain)
-    eyes = stand_at(
-        terrain, lon=lon, lat=lat, eye_height_m=eye_height_m, summit_within_m=summit_within_m
-    )
-    shape = np.broadcast_shapes(*map(np.shape, (lon, lat, eye_height_m)))
-    names = np.full(shape, "") if ids is None else np.asarray(ids, dtype=np.str_)
+    places = together(lon=lon, lat=lat, eye_height_m=eye_height_m)
+    shape = places[0].shape
+    east, north, up = (one.ravel() for one in places)
+    eyes = stand_at(terrain, lon=east, lat=north, eye_height_m=up, summit_within_m=summit_within_m)
+    names = np.full(shape, "") if ids is None else _names_of(ids)
     if names.shape != shape:
         raise InputError(
             f"the places have the shape {shape}, and the ids {names.shape}; give an id for each"
@@ -538,6 +562,16 @@ def horizon(  # noqa: PLR0913  (independent conditions)
         terrain, eyes, step_deg, curvature, surface=over, ids=names.ravel().tolist()
     )
     return found.reshape(*shape)
+
+
+def _names_of(ids: ArrayLike) -> NDArray[np.str_]:
+    """Return ids as texts; one that is missing, as in a table of pandas, is empty."""
+    given = np.asarray(ids, dtype=object)
+    names = [
+        "" if not isinstance(one, str) and str(one) in _MISSING else str(one)
+        for one in given.ravel().tolist()
+    ]
+    return np.array(names, dtype=np.str_).reshape(given.shape)
 
 
 def horizons_of(
@@ -590,6 +624,7 @@ def horizons_of(
         rendered.flags[:, ::every],
         surface_deg,
         np.array(ids or [""] * len(eyes), dtype=np.str_),
+        terrain.frame.lonlat_crs,
     )
 
 

@@ -14,9 +14,11 @@ from enum import StrEnum
 from typing import Any
 
 import numpy as np
+from pyproj import CRS
 
 from skyline.arrays import Float64Array, FloatArray
 from skyline.errors import InputError, library
+from skyline.geodesy.crs import is_of_earth
 
 _FIRST_YEAR = 1583
 """PyEphem counts days of earlier years in the Julian calendar."""
@@ -38,6 +40,15 @@ class Body(StrEnum):
 
     SUN = "sun"
     MOON = "moon"
+
+
+def check_is_earth(crs: CRS) -> None:
+    """Raise `InputError` for a DEM of another world, over which the sun stands elsewhere."""
+    if not is_of_earth(crs):
+        raise InputError(
+            f"the DEM is of another world ({crs.name}), and sun and moon are computed for the "
+            "Earth; give a DEM of the Earth"
+        )
 
 
 def day_of(given: date | str) -> date:

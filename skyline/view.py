@@ -11,18 +11,20 @@ import json
 import math
 import warnings
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
 from threading import Lock
 from typing import TYPE_CHECKING
 
 import numpy as np
+from pyproj import CRS
 
-from skyline.arrays import BoolArray, Float32Array, Float64Array, Progress, ShortRepr, refuse_text
+from skyline.arrays import BoolArray, Float32Array, Float64Array, Progress, ShortRepr
 from skyline.errors import InputError, library, suffix_of
 from skyline.files import write_whole
 from skyline.geodesy.bounds import in_turn
+from skyline.geodesy.crs import WGS84
 from skyline.geodesy.earth import Curvature
 from skyline.ground import GroundView
 from skyline.peaks import (
@@ -38,7 +40,7 @@ from skyline.pose import NotedPose, Pose
 from skyline.render.context import Closeable, RenderThread
 from skyline.render.horizon import RenderConfig, RenderedScene
 from skyline.skylines import HEADINGS, Views
-from skyline.sun import Body, Sky
+from skyline.sun import Body, Sky, check_is_earth
 from skyline.terrain.dem import Dem, read_dem
 from skyline.terrain.ray_casting import first_hits_m
 from skyline.terrain.viewpoints import (
@@ -49,6 +51,7 @@ from skyline.terrain.viewpoints import (
     check_eye_elevation,
     stand_at_one,
     stand_on,
+    together,
 )
 
 if TYPE_CHECKING:
@@ -218,6 +221,8 @@ class PixelPlaces(ShortRepr):
         Metres above the DEM's datum.
     step : int
         Row r and column c are pixel ``step * r`` and ``step * c`` of the photo.
+    crs : pyproj.CRS
+        Of the longitudes and latitudes: WGS 84, or degrees on another world than the Earth.
     """
 
     distance_m: Float32Array
@@ -225,6 +230,7 @@ class PixelPlaces(ShortRepr):
     lat: Float64Array
     elevation_m: Float32Array
     step: int = 1
+    crs: CRS = field(default=WGS84, repr=False)
 
     def to_xarray(self) -> Dataset:
         """Return the places as a dataset, NaN for sky.
@@ -282,7 +288,7 @@ class PixelPlaces(ShortRepr):
         Returns
         -------
         geopandas.GeoDataFrame
-            Points in EPSG:4326, with the columns of `to_dataframe`.
+            Points in `crs`, WGS 84 on the Earth, with the columns of `to_dataframe`.
 
         Raises
         ------
@@ -292,7 +298,7 @@ class PixelPlaces(ShortRepr):
         geopandas = library("geopandas", "a GeoDataFrame")
         table = self.to_dataframe()
         points = geopandas.points_from_xy(table["lon"], table["lat"])
-        return geopandas.GeoDataFrame(table, geometry=points, crs="EPSG:4326")
+        return geopandas.GeoDataFrame(table, geometry=points, crs=self.crs)
 
     def save(self, path: str | Path, pose: Pose) -> None:
         """Write the places, and the pose from which they are seen.
@@ -401,9 +407,11 @@ class Viewer(Closeable):
         ------
         OffMapError
             The place is off the map or on a hole, or the eye is below the ground.
+        InputError
+            One of the values is not a finite number.
         """
-        refuse_text(heading_deg=heading_deg, pitch_deg=pitch_deg, roll_deg=roll_deg)
-        refuse_text(fov_deg=fov_deg, eye_height_m=eye_height_m)
+        together(heading_deg=heading_deg, pitch_deg=pitch_deg, roll_deg=roll_deg)
+        together(fov_deg=fov_deg, eye_height_m=eye_height_m)
         ground = stand_at_one(self.terrain, lon=lon, lat=lat, eye_height_m=0.0)
         eye_m = ground.eye_elevation_m + eye_height_m
         eye = at_elevation(self.terrain, ground.easting_m, ground.northing_m, eye_m)
@@ -527,6 +535,7 @@ class Viewer(Closeable):
             lat=np.where(is_sky, np.nan, lat),
             elevation_m=elevation_m.astype(np.float32),
             step=step,
+            crs=self.frame.lonlat_crs,
         )
 
     def ground_view(self, pose: Pose, photo: PhotoSkyline) -> GroundView:
@@ -583,8 +592,9 @@ class Viewer(Closeable):
         """Return the sun and the moon at a time, those whose middle is in the picture.
 
         Raises `OffMapError` for a pose off the map or on a hole, and `InputError` as `look`, or if
-        PyEphem is not installed.
+        PyEphem is not installed or the DEM is of another world than the Earth.
         """
+        check_is_earth(self.terrain.frame.crs)
         photo.projection.check_fov_deg(pose.fov_deg)
         eye = self._standing(pose)
         sky = Sky(pose.lon, pose.lat, float(eye.eye_elevation_m[0]))

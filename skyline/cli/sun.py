@@ -21,7 +21,7 @@ from skyline.cli.terminal import Terminal
 from skyline.errors import InputError
 from skyline.geodesy.earth import Curvature
 from skyline.horizons import LocalHorizons, horizons_of
-from skyline.sun import Body, day_of
+from skyline.sun import Body, check_is_earth, day_of
 from skyline.tasks.standing import stand_with_notes, warn_of_border
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M
@@ -68,11 +68,7 @@ def sun(
     if not within > 0.0:
         raise InputError(f"--within is {within:g}; expected kilometres above 0")
     terrain = read_terrain(terminal, dem, crs)
-    if not terrain.frame.is_of_earth:
-        raise InputError(
-            f"the DEM is of another world ({terrain.frame.name}), and the sun is computed for the "
-            "Earth; give a DEM of the Earth"
-        )
+    check_is_earth(terrain.frame.crs)
     curvature = curvature_of(terrain, refraction_k)
     if summit is not None:
         areas = [Area(lon=lon, lat=lat, radius_m=1000.0 * within) for lon, lat in positions]

@@ -9,6 +9,7 @@ from pyproj.exceptions import CRSError, ProjError
 
 from skyline.errors import InputError
 
+WGS84 = CRS.from_epsg(4326)
 _WGS84_M = 6378137.0
 """Semi-major axis of WGS 84."""
 
@@ -36,7 +37,7 @@ def without_vertical(crs: CRS) -> CRS:
 
 def half_axes_m(crs: CRS) -> tuple[float, float]:
     """Return the half axes of a CRS's ellipsoid at the equator and at the pole; else WGS 84's."""
-    ellipsoid = crs.ellipsoid or CRS.from_epsg(4326).ellipsoid
+    ellipsoid = crs.ellipsoid or WGS84.ellipsoid
     assert ellipsoid is not None
     return float(ellipsoid.semi_major_metre), float(ellipsoid.semi_minor_metre)
 
@@ -55,7 +56,7 @@ def lonlat_of(crs: CRS) -> CRS:
     It is WGS 84 for the Earth. Longitudes count to the east from the prime meridian of the body.
     """
     if is_of_earth(crs):
-        return CRS.from_epsg(4326)
+        return WGS84
     a_m, b_m = half_axes_m(crs)
     return CRS.from_dict({"proj": "longlat", "a": a_m, "b": b_m, "no_defs": True})
 

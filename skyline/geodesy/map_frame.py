@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pyproj import CRS, Geod, Transformer
 
-from skyline.arrays import Complex128Array, Float64Array, refuse_text
+from skyline.arrays import Complex128Array, Float64Array, by_dimensions, refuse_text
 from skyline.errors import InputError
 from skyline.geodesy.bounds import Bounds, check_bounds, width_deg
 from skyline.geodesy.crs import (
@@ -127,8 +127,13 @@ class Frame:
         return Geod(a=a_m, b=b_m)
 
     @cached_property
+    def lonlat_crs(self) -> CRS:
+        """The CRS of the frame's degrees: WGS 84, or another world's."""
+        return lonlat_of(self.crs)
+
+    @cached_property
     def _to_lonlat(self) -> Transformer:
-        return transformer(self.crs, lonlat_of(self.crs))
+        return transformer(self.crs, self.lonlat_crs)
 
     def to_lonlat(
         self, easting_m: ArrayLike, northing_m: ArrayLike
@@ -138,6 +143,7 @@ class Frame:
         On another world than the Earth they are on its own ellipsoid.
         """
         refuse_text(easting_m=easting_m, northing_m=northing_m)
+        easting_m, northing_m = by_dimensions(easting_m, northing_m)
         lon, lat = self._to_lonlat.transform(easting_m, northing_m)
         return np.asarray(lon, dtype=np.float64), np.asarray(lat, dtype=np.float64)
 
@@ -159,6 +165,7 @@ class Frame:
     def from_lonlat(self, lon: ArrayLike, lat: ArrayLike) -> tuple[Float64Array, Float64Array]:
         """Return easting and northing in metres of longitudes and latitudes (WGS 84)."""
         refuse_text(lon=lon, lat=lat)
+        lon, lat = by_dimensions(lon, lat)
         easting, northing = self._to_lonlat.transform(lon, lat, direction="INVERSE")
         return np.asarray(easting, dtype=np.float64), np.asarray(northing, dtype=np.float64)
 

@@ -205,6 +205,7 @@ class Matcher(Closeable):
             verdict.within_m,
             name,
             narrowing=narrowing or Narrowing(),
+            crs=self.frame.lonlat_crs,
         )
 
     def _weighed(self, candidates: tuple[Pose, ...], skyline: PhotoSkyline) -> tuple[Pose, ...]:
@@ -274,6 +275,7 @@ class Matcher(Closeable):
                 verdict.refusal,
                 verdict.within_m,
                 photo.name,
+                crs=self.frame.lonlat_crs,
             )
             if number in found
             else MatchResult(photo.skyline, (), seconds, photo.refusal or apart, name=photo.name)
@@ -373,7 +375,7 @@ class Matcher(Closeable):
             answer = searched.answer if searched else None
             refusal = Verdict.of_fit(pose, answer, self._config).refusal
             candidates = () if pose is None else (_without_search(pose, refusal),)
-            result = MatchResult(skyline, candidates, 0.0, refusal)
+            result = MatchResult(skyline, candidates, 0.0, refusal, crs=self.frame.lonlat_crs)
         return replace(result, seconds=time.perf_counter() - started, narrowing=None)
 
     def _fitted(

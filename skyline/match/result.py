@@ -2,15 +2,16 @@
 
 import math
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from html import escape
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
-from pyproj import Geod
+from pyproj import CRS, Geod
 
 from skyline.errors import InputError, library, printable
 from skyline.geodesy.bounds import distance_in_words, in_turn
+from skyline.geodesy.crs import WGS84
 from skyline.match.prior import Narrowing
 from skyline.photo.noted_place import NOTHING_NOTED
 from skyline.photo.skyline import PhotoSkyline
@@ -77,6 +78,8 @@ class MatchResult:
         The ``id`` or ``name`` that a list of photos gives it; else empty.
     narrowing : Narrowing or None
         What was known about the pose in a search of this photo alone; None where there was none.
+    crs : pyproj.CRS
+        Of longitudes and latitudes: WGS 84, or degrees on another world than the Earth.
     """
 
     skyline: PhotoSkyline
@@ -87,6 +90,7 @@ class MatchResult:
     name: str = ""
     id: str = ""
     narrowing: Narrowing | None = None
+    crs: CRS = field(default=WGS84)
 
     @property
     def best(self) -> Pose | None:
@@ -467,9 +471,10 @@ def to_geodataframe(results: Iterable[MatchResult]) -> "GeoDataFrame":
     Returns
     -------
     geopandas.GeoDataFrame
-        Points in EPSG:4326, with ``photo`` (the result's number, from 0), ``rank`` (1 is the
-        best), ``is_answer`` (whether it is the answer) and the fields of `Pose`; of the
-        place's covariance three columns, which files can hold. Unknown values are missing.
+        Points in the results' `crs`, WGS 84 on the Earth, with ``photo`` (the result's number, from
+        0), ``rank`` (1 is the best), ``is_answer`` (whether it is the answer) and the fields of
+        `Pose`; of the place's covariance three columns, which files can hold. Unknown values are
+        missing.
 
     Raises
     ------
@@ -481,7 +486,8 @@ def to_geodataframe(results: Iterable[MatchResult]) -> "GeoDataFrame":
     columns: dict[str, list[Any]] = {
         name: [] for name in ("photo", "rank", "is_answer", *names, *_COVARIANCE)
     }
-    for number, result in enumerate(listed(results)):
+    given = listed(results)
+    for number, result in enumerate(given):
         for one in result.candidates:
             (east, both), (_, north) = one.covariance_m2 or ((None, None), (None, None))
             row = asdict(one) | dict(zip(_COVARIANCE, (east, north, both), strict=True))
@@ -489,7 +495,7 @@ def to_geodataframe(results: Iterable[MatchResult]) -> "GeoDataFrame":
             for name, values in columns.items():
                 values.append(math.nan if row[name] is None else row[name])
     places = geopandas.points_from_xy(columns["lon"], columns["lat"])
-    return geopandas.GeoDataFrame(columns, geometry=places, crs="EPSG:4326")
+    return geopandas.GeoDataFrame(columns, geometry=places, crs=given[0].crs if given else WGS84)
 
 
 def _confidence_within(one: Pose, within_m: float | None) -> float | None:

@@ -16,7 +16,7 @@ from skyline.photo.image import Picture
 from skyline.photo.noted_fov import MAX_PINHOLE_ASPECT
 from skyline.photo.photo import Photo, read_photo
 from skyline.photo.sky_mask import is_sky_mask, skyline_of_mask
-from skyline.photo.skyline import PhotoSkyline
+from skyline.photo.skyline import PhotoSkyline, check_in_picture
 from skyline.photo.trace import read_trace
 from skyline.photo.user_sky_model import model_skyline
 from skyline.tables import is_table
@@ -66,6 +66,7 @@ def named_skyline(
         error = f"the field of view is {fov_deg!r}; expected a number of degrees"
         (fov_deg,) = numbers_of([fov_deg], 1, error)
     if isinstance(photo, PhotoSkyline):
+        check_in_picture(photo)
         return "", photo if fov_deg is None else photo.with_fov(fov_deg)
     if not isinstance(photo, str | Path | Image | np.ndarray):
         raise InputError(

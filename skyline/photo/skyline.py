@@ -194,6 +194,20 @@ class PhotoSkyline:
         return self.fov_deg
 
 
+def check_in_picture(skyline: PhotoSkyline) -> None:
+    """Raise `InputError` for a skyline with a row outside its picture.
+
+    The levelled picture of a tilted camera has such rows; a photo has none.
+    """
+    row_px = skyline.row_px
+    outside = np.flatnonzero((row_px < -1.0) | (row_px > skyline.height_px))
+    if outside.size:
+        raise InputError(
+            f"row_px is {row_px[outside[0]]:g} in column {outside[0]} of a picture of "
+            f"{skyline.height_px} rows; give rows of the picture, and NaN where it has no skyline"
+        )
+
+
 def check_of_image(skyline: PhotoSkyline, shape: tuple[int, ...]) -> None:
     """Check that a skyline belongs to an image.
 

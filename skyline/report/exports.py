@@ -282,10 +282,15 @@ def export_matches(
     Raises
     ------
     InputError
-        The suffix is not known, a photo cannot be read or is missing, or the file cannot be
-        written.
+        The suffix is not known, a photo cannot be read or is missing, the frame is of another
+        world than the Earth, or the file cannot be written.
     """
     path = Path(path)
+    if not frame.is_of_earth:
+        raise InputError(
+            f"{path} would show places of another world ({frame.name}) on the Earth; take the "
+            "candidates from the results"
+        )
     results = listed(results)
     if photos is not None and len(photos) != len(results):
         raise InputError(f"{len(photos)} photos are given for {len(results)} results")

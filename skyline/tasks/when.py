@@ -9,7 +9,7 @@ from skyline.camera import Projection
 from skyline.errors import InputError
 from skyline.pose import Pose
 from skyline.pose_file import read_posed
-from skyline.sun import Body, Sky
+from skyline.sun import Body, Sky, check_is_earth
 from skyline.sun_clock import (
     ClockTime,
     Pixel,
@@ -78,6 +78,7 @@ def tell_when(task: WhenTask, listener: Listener) -> Told:
     photo = picture.blank
     with listener.slow("reading the elevation model"):
         terrain = read_dem(task.dem, DemOptions(crs=task.crs))
+    check_is_earth(terrain.frame.crs)
     with Viewer(terrain) as viewer:
         pose = shown_pose(noted, viewer, listener)
         if len(task.marked) == 1:

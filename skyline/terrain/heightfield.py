@@ -19,7 +19,14 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from skyline.arrays import BoolArray, Float64Array, FloatArray, Int64Array, refuse_text
+from skyline.arrays import (
+    BoolArray,
+    Float64Array,
+    FloatArray,
+    Int64Array,
+    by_dimensions,
+    refuse_text,
+)
 from skyline.errors import InputError, printable
 from skyline.geodesy.bounds import Bounds
 from skyline.geodesy.map_frame import Frame
@@ -271,6 +278,7 @@ class HeightField:
     ) -> tuple[Float64Array, Float64Array]:
         """Return fractional (row, column) of map coordinates; samples are at whole numbers."""
         refuse_text(easting_m=easting_m, northing_m=northing_m)
+        easting_m, northing_m = by_dimensions(easting_m, northing_m)
         row = (self.north_m - np.asarray(northing_m, dtype=np.float64)) / self.spacing_north_m
         col = (np.asarray(easting_m, dtype=np.float64) - self.west_m) / self.spacing_east_m
         return row, col
@@ -308,7 +316,9 @@ class HeightField:
             Both pairs of coordinates are given, or half of one.
         """
         if lon is not None and lat is not None and easting_m is None and northing_m is None:
-            easting_m, northing_m = self.frame.from_lonlat(*np.broadcast_arrays(lon, lat))
+            easting_m, northing_m = self.frame.from_lonlat(
+                *np.broadcast_arrays(*by_dimensions(lon, lat))
+            )
         elif easting_m is None or northing_m is None or not (lon is None and lat is None):
             given = {"easting_m": easting_m, "northing_m": northing_m, "lon": lon, "lat": lat}
             names = [name for name, value in given.items() if value is not None]

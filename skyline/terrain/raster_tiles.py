@@ -109,7 +109,7 @@ def array_tile(array: Any, default_crs: CRS | None) -> Tile:
     for dim in (y, x):
         if dim in array.coords:
             _check_unit(source, dim, str(array.coords[dim].attrs.get("units", "")), crs)
-    transform = _transform_of_array(source, array, (y, x), mapping.get("GeoTransform"))
+    transform = _transform_of_array(source, array, (y, x), mapping.get("GeoTransform"), crs)
     grid, north_up = _grid_of(source, transform, (array.sizes[y], array.sizes[x]))
     vertical = vertical_of(source, crs, str(attrs.get("units", "")), str(attrs.get("positive", "")))
     on_map = _on_map(source, crs)
@@ -314,7 +314,9 @@ def dims_of(source: str, array: Any) -> tuple[str, str]:
     """Return the dimensions of a DataArray's rows and columns; raises `InputError` for others."""
     for y, x in _DIMS:
         if y in array.dims and x in array.dims:
-            bands = array.size // max(array.sizes[y] * array.sizes[x], 1)
+            if not array.size:
+                raise InputError(f"{source} has no samples; check how it was cut out")
+            bands = array.size // (array.sizes[y] * array.sizes[x])
             if bands != 1:
                 raise InputError(
                     f"{source} has {bands} bands; a DEM has one band of heights: select it"
@@ -342,11 +344,13 @@ def _wkt_of_mapping(source: str, mapping: Mapping[str, Any]) -> str | None:
         ) from error
 
 
-def _transform_of_array(source: str, array: Any, dims: tuple[str, str], noted: object) -> Affine:
+def _transform_of_array(
+    source: str, array: Any, dims: tuple[str, str], noted: object, crs: CRS
+) -> Affine:
     """Return the geotransform of an array's coordinates.
 
     Where they agree with the geotransform that rioxarray ``noted``, that one is returned, since it
-    is more exact.
+    is more exact. Longitudes may pass from 359.9 to 0, or from 179.9 to -180.
     """
     for dim in dims:
         if dim not in array.coords:
@@ -355,6 +359,8 @@ def _transform_of_array(source: str, array: Any, dims: tuple[str, str], noted: o
                 "assign them"
             )
     y, x = (np.asarray(array.coords[dim].values, dtype=np.float64) for dim in dims)
+    if crs.is_geographic and crs.axis_info[0].unit_name == "degree":
+        x = np.unwrap(x, period=360.0)
     with suppress(TypeError, ValueError):
         exact = Affine.from_gdal(*(float(number) for number in str(noted).split()))
         if all(

@@ -11,8 +11,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from skyline.arrays import BoolArray, Float64Array, Int64Array, Rows, UInt8Array, refuse_text
+from skyline.arrays import (
+    BoolArray,
+    Float64Array,
+    Int64Array,
+    Rows,
+    UInt8Array,
+    by_dimensions,
+    refuse_text,
+)
 from skyline.errors import InputError, OffMapError, printable, swapped_in_words
+from skyline.geodesy.bounds import are_degrees
 from skyline.geodesy.earth import GROUND_M
 from skyline.skylines import HEADINGS
 from skyline.tables import Table, read_table
@@ -28,6 +37,8 @@ An eye that seems lower stands where the terrain model is too high."""
 
 HIGHEST_EYE_M = 20_000.0
 """Greatest elevation of an eye, above all aeroplanes from which people take photos."""
+_ROUNDING_M = 1e-3
+"""Degrees with eight decimals, as files have them, are rounded to a millimetre."""
 _POSITIONS = (("easting", "northing"), ("lon", "lat"))
 _HEIGHTS = ("eye_height_m", "eye_elevation_m")
 _LABELS = ("id", "name")
@@ -164,13 +175,15 @@ def position_on(
     position off the map.
     """
     lon, lat = _flat(lon=lon_deg, lat=lat_deg)
-    easting, northing = field.frame.from_lonlat(lon, lat)
+    easting, northing = _onto_border(field, *field.frame.from_lonlat(lon, lat))
     outside = np.flatnonzero(~is_on_map(field, easting, northing))
     if outside.size:
         first = outside[0]
         box = field.box_deg
         remedy = "give another place, or a DEM that covers it"
-        if is_on_map(field, *field.frame.from_lonlat(lat[first], lon[first])):
+        if not are_degrees(lon[first], lat[first]):
+            remedy = "give degrees, not eastings and northings"
+        elif is_on_map(field, *field.frame.from_lonlat(lat[first], lon[first])):
             remedy = swapped_in_words(lon[first], lat[first])
         raise OffMapError(
             f"{_first_of(outside, len(lon))} at lon {lon[first]:.5f}, lat {lat[first]:.5f} is off "
@@ -259,6 +272,20 @@ def _first_of(failing: Int64Array, count: int) -> str:
     return "the place" if count == 1 else f"viewpoint {failing[0]} ({failing.size} such)"
 
 
+def _onto_border(
+    field: HeightField, easting_m: Float64Array, northing_m: Float64Array
+) -> tuple[Float64Array, Float64Array]:
+    """Return positions, those that rounding put off the map back on its border.
+
+    Otherwise the outermost samples, whose degrees are rounded, would be off their own map.
+    """
+    west, south, east, north = field.bounds_m
+    inside = np.clip(easting_m, west, east), np.clip(northing_m, south, north)
+    is_rounding = np.hypot(inside[0] - easting_m, inside[1] - northing_m) < _ROUNDING_M
+    easting, northing = np.where(is_rounding, inside, (easting_m, northing_m))
+    return easting, northing
+
+
 def is_on_map(field: HeightField, easting_m: ArrayLike, northing_m: ArrayLike) -> BoolArray:
     """Return a mask of the positions that lie on a map."""
     west, south, east, north = field.bounds_m
@@ -267,23 +294,37 @@ def is_on_map(field: HeightField, easting_m: ArrayLike, northing_m: ArrayLike) -
     return (west <= easting) & (easting <= east) & (south <= northing) & (northing <= north)
 
 
-def _flat(**values: ArrayLike) -> list[Float64Array]:
-    """Return values broadcast to (N,); raises `InputError` unless they are finite numbers."""
+def together(**values: ArrayLike) -> list[Float64Array]:
+    """Return named values broadcast together.
+
+    Arrays of xarray are broadcast by the names of their dimensions, all others by position. Raises
+    `InputError` unless the values are finite numbers.
+    """
     refuse_text(**values)
     try:
         numbers = [
-            np.ma.filled(np.asanyarray(v, dtype=np.float64), np.nan) for v in values.values()
+            np.ma.filled(np.asanyarray(v, dtype=np.float64), np.nan)
+            for v in by_dimensions(*values.values())
         ]
-        arrays = np.broadcast_arrays(*map(np.atleast_1d, numbers))
+        arrays = np.broadcast_arrays(*numbers)
     except (TypeError, ValueError, OverflowError) as error:
         raise InputError(
             f"coordinates and heights of places cannot be used ({' '.join(str(error).split())}); "
             "expected numbers, as many latitudes as longitudes"
         ) from error
-    flat = [np.ascontiguousarray(array).reshape(-1) for array in arrays]
-    if not all(np.isfinite(array).all() for array in flat):
-        raise InputError("a viewpoint has a coordinate that is masked or not a finite number")
-    return flat
+    for name, array in zip(values, arrays, strict=True):
+        unknown = np.flatnonzero(~np.isfinite(array))
+        if unknown.size:
+            raise InputError(
+                f"{name} of {_first_of(unknown, array.size)} is masked or not a finite number; "
+                "correct it, or leave the place out"
+            )
+    return list(arrays)
+
+
+def _flat(**values: ArrayLike) -> list[Float64Array]:
+    """Return values broadcast to (N,); raises as `together`."""
+    return [np.ascontiguousarray(array).reshape(-1) for array in together(**values)]
 
 
 def _check_heights(eye_height_m: Float64Array) -> None:

@@ -100,6 +100,18 @@ def test_a_folder_of_any_records_is_drawn(run_bench, tmp_path):
         assert "<svg" in (tmp_path / f"my {name}.svg").read_text()
 
 
+def test_the_table_of_a_search_has_a_row_for_all_queries_of_a_store(run_bench, tmp_path):
+    """Rows of groups of queries, which the table does not name, would pass for the whole."""
+    shutil.copy(RESULTS / "matching.json", tmp_path)
+    run_bench("figures", tmp_path).ok()
+    table = (tmp_path / "figures.md").read_text().split("```text")[1].split("\n\n\n")[0]
+    rows = json.loads((RESULTS / "matching.json").read_text())["rows"]
+    whole = [row for row in rows if row["group"] == "all"]
+    assert len(whole) < len(rows)
+    assert sum(row["store"] in table for row in whole) == len(whole)
+    assert len(table.strip().splitlines()) - 2 == len(whole)
+
+
 def test_stability_says_what_fails(run_bench, tmp_path, monkeypatch):
     # All hard cases are tested one by one in test_stability.
     measured, three_cases = stability.measure, stability.HARD_CASES[:3]

@@ -32,6 +32,14 @@ def in_degrees():
     return made.rio.write_crs("EPSG:4326")
 
 
+def test_longitudes_may_pass_from_360_to_0(in_degrees):
+    aside = in_degrees.assign_coords(lon=(in_degrees.lon - 9.003) % 360.0)
+    assert aside.lon.values[0] > 359.0
+    assert aside.lon.values[-1] < 1.0
+    found, expected = sky_view_grid(aside), sky_view_grid(in_degrees)
+    np.testing.assert_allclose(found.values, expected.values, atol=1e-5)
+
+
 def lonlat_of(array):
     """Return the longitudes and latitudes (rows, columns) of an array's samples."""
     y, x = np.meshgrid(array.y, array.x, indexing="ij")

@@ -6,9 +6,19 @@ import numpy as np
 import pandas as pd
 import pytest
 import rioxarray
+import xarray as xr
 from scenes import at_deg, field_from, fractal, write_dem
 
-from skyline import Curvature, Frame, HeightField, InputError, horizon, read_dem, stand_on
+from skyline import (
+    Curvature,
+    Frame,
+    HeightField,
+    InputError,
+    OffMapError,
+    horizon,
+    read_dem,
+    stand_on,
+)
 from skyline_bench.truth import oracle
 
 # On the standard parallel, seven degrees from the middle: so far is the map's north from the true.
@@ -71,6 +81,52 @@ def test_a_data_array_stands_for_its_file(tmp_path):
         of_array = horizon(array, lon=lon, lat=lat, step_deg=7.5, surface=array)
     np.testing.assert_array_equal(of_array.elevation_deg, of_file.elevation_deg)
     np.testing.assert_array_equal(of_array.surface_deg, of_file.elevation_deg)
+
+
+def test_the_axes_of_a_square_raster_are_broadcast_by_their_names(rough):
+    lon, lat = places_on(rough, 3)
+    axes = xr.DataArray(lon, dims="x"), xr.DataArray(lat, dims="y")
+    grid = horizon(rough, lon=axes[0], lat=axes[1], step_deg=7.5)
+    assert grid.shape == (3, 3)
+    np.testing.assert_allclose(grid.lon[1], lon)
+    np.testing.assert_allclose(grid.lat[:, 1], lat)
+    heights_m = rough.height_at(lon=axes[0], lat=axes[1])
+    np.testing.assert_allclose(heights_m[1, 2], rough.height_at(lon=lon[2], lat=lat[1]))
+
+
+def test_heights_of_eyes_are_broadcast_with_the_places(rough):
+    lon, lat = (at.reshape(2, 1) for at in places_on(rough, 2))
+    grid = horizon(rough, lon=lon, lat=lat, eye_height_m=[2.0, 5.0], step_deg=7.5)
+    assert grid.shape == (2, 2)
+    np.testing.assert_allclose(np.diff(grid.eye_elevation_m), 3.0)
+
+
+def test_the_corner_of_a_map_is_on_it_and_a_metre_aside_is_not(rough):
+    west, south, _, _ = rough.bounds_m
+    lon, lat = rough.frame.to_lonlat(west - 1e-7, south)
+    corner = horizon(rough, lon=lon, lat=lat, step_deg=7.5, summit_within_m=0.0)
+    assert corner.eye_elevation_m == pytest.approx(rough.heights_m[-1, 0] + 2.0)
+    lon, lat = rough.frame.to_lonlat(west - 1.0, south)
+    with pytest.raises(OffMapError):
+        horizon(rough, lon=lon, lat=lat, step_deg=7.5)
+
+
+def test_eastings_are_said_to_be_no_degrees(rough):
+    with pytest.raises(OffMapError, match="give degrees"):
+        horizon(rough, lon=EAST_M + 100.0, lat=NORTH_M - 100.0)
+
+
+def test_an_id_that_a_table_lacks_is_empty(rough):
+    lon, lat = places_on(rough, 3)
+    ids = pd.Series(["A", None, np.nan], dtype=object)
+    assert horizon(rough, lon=lon, lat=lat, step_deg=45.0, ids=ids).id.tolist() == ["A", "", ""]
+
+
+def test_a_place_without_a_longitude_is_named(rough):
+    lon, lat = places_on(rough, 3)
+    lon[1] = np.nan
+    with pytest.raises(InputError, match=r"lon of viewpoint 1 \(1 such\) is masked or not a"):
+        horizon(rough, lon=lon, lat=lat)
 
 
 def test_a_horizon_has_the_shape_of_its_longitudes_and_latitudes(rough):

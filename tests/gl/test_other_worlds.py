@@ -1,13 +1,16 @@
 """Elevation models of other worlds: their radius, no refraction, and closed forms."""
 
 from dataclasses import replace
+from datetime import UTC, datetime
 
 import numpy as np
 import pytest
+import rioxarray  # noqa: F401  (the accessor `rio`)
+import xarray as xr
 from rasterio.transform import from_origin
 from scenes import write_dem
 
-from skyline import Frame, Viewer, horizon, read_dem
+from skyline import Frame, InputError, PhotoSkyline, Viewer, horizon, read_dem, sky_view_grid
 from skyline.geodesy.earth import EARTH_RADIUS_M, Curvature
 from skyline.tasks.render import RenderTask
 
@@ -105,6 +108,28 @@ def test_a_wall_on_a_moon_is_as_high_as_on_a_sphere(around):
     top_m = MOON_M + WALL_M
     up_deg = np.degrees(np.arctan2(top_m * np.cos(arc) - MOON_M - EYE_M, top_m * np.sin(arc)))
     np.testing.assert_allclose(around.elevation_deg[0, south], up_deg, atol=0.003)
+
+
+def test_the_sky_view_of_an_array_on_a_moon_is_that_of_the_horizons_there():
+    lon, lat = 30.0 + 0.01 * np.arange(8), -60.0 + 0.01 * np.arange(6)
+    heights = np.random.default_rng(0).uniform(0.0, 300.0, (6, 8)).astype(np.float32)
+    model = xr.DataArray(heights, {"lat": lat, "lon": lon}, ("lat", "lon"))
+    model = model.rio.write_crs(CRS["degrees"])
+    factors = sky_view_grid(model)
+    there = horizon(
+        model, lon=lon[3], lat=lat[2], eye_height_m=0.1, step_deg=5.0, summit_within_m=0.0
+    )
+    assert float(factors[2, 3]) == pytest.approx(float(there.sky_view_factor()), abs=1e-6)
+
+
+def test_no_sun_of_the_earth_stands_over_a_moon(moon, around):
+    with pytest.raises(InputError, match="another world"):
+        around.sun_above("2026-12-21")
+    photo = PhotoSkyline(np.full(8, 2.0), np.ones(8), 8, 6, 60.0)
+    with Viewer(moon) as viewer:
+        pose = viewer.pose(lon=LON, lat=LAT, heading_deg=180.0, fov_deg=60.0)
+        with pytest.raises(InputError, match="another world"):
+            viewer.bodies(pose, photo, datetime(2026, 12, 21, 12, tzinfo=UTC))
 
 
 def test_a_pose_on_a_moon_is_seen_with_the_moons_curvature(moon):

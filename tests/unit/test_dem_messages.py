@@ -296,6 +296,7 @@ class TestArrays:
                 "along x in 'km'",
             ),
             (array_of().isel(y=[0, 1, 3, 4]), IN_UTM, "along y that are not even"),
+            (array_of().isel(y=[]), IN_UTM, "has no samples; check how it was cut out"),
             (array_of() * np.nan, IN_UTM, "holds no height"),
             (
                 array_of().assign_coords(

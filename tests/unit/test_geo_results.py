@@ -6,6 +6,7 @@ import geopandas
 import numpy as np
 import pyogrio
 import pytest
+from pyproj import CRS
 from scenes import candidate_at
 from store_rows import PLACES_HEADER, VIEWS_HEADER, numbered_places, numbered_views, write_rows
 
@@ -38,6 +39,11 @@ def test_a_result_is_a_table_of_points_in_degrees():
     back = table.to_crs("EPSG:32632").geometry
     np.testing.assert_allclose(back.x, table["easting_m"], atol=1e-4)
     np.testing.assert_allclose(back.y, table["northing_m"], atol=1e-4)
+
+
+def test_points_of_another_world_are_not_on_the_earth():
+    mars = CRS.from_user_input("+proj=longlat +R=3389500")
+    assert MatchResult(SKYLINE, (BEST,), 0.1, crs=mars).to_geodataframe().crs == mars
 
 
 def test_results_of_any_kind_are_a_table():

@@ -68,6 +68,12 @@ def test_errors_of_a_pose_move_a_place_on_level_ground_as_trigonometry_has_it(
     assert found.error_m[0] == pytest.approx(max(east_m, north_m), rel=0.02)
 
 
+def test_points_on_the_ground_are_printed_by_their_shapes():
+    view = view_at(PLANE, pitch_deg=-10.0)
+    found = view.points(*straight_down_to(view, 500.0), EXACT)
+    assert "easting_m=(1,) float64, northing_m=(1,) float64" in repr(found)
+
+
 def test_errors_of_the_model_and_the_pixel_are_errors_of_the_place():
     view = view_at(PLANE, pitch_deg=-10.0)
     at = straight_down_to(view, 500.0)

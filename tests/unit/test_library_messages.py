@@ -233,6 +233,12 @@ def pose_with(text):
     return Viewer(FLAT).pose(lon=9.8, lat=46.8, **{**ANGLES, text: "1"})
 
 
+@pytest.mark.parametrize("name", ["heading_deg", "pitch_deg", "fov_deg", "eye_height_m"])
+def test_a_pose_has_no_angle_that_is_no_number(name):
+    with pytest.raises(InputError, match=f"{name} of the place is masked or not a finite number"):
+        Viewer(FLAT).pose(lon=9.8, lat=46.8, **{"heading_deg": 0.0, name: np.nan})
+
+
 def horizons_of(count, name=""):
     """Return flat horizons of places on the equator, eight azimuths each."""
     zeros = np.zeros((count, 8), np.float32)

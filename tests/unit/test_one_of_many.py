@@ -1,10 +1,13 @@
 """Of several places one is chosen by name, or none is taken."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
 from font_scenes import UNDRAWN
 from matplotlib.figure import Figure
+from pyproj import CRS
 from scenes import field_from
 
 from skyline import InputError, LocalHorizons, Orienter, Viewer, save_panorama
@@ -52,9 +55,25 @@ def test_places_are_taken_by_id_or_by_the_nearest_position():
     three = horizons_of(1.0, 2.0, 3.0, names=["A", "B", "B"])
     assert three.sel("A").elevation_deg[0] == 1.0
     assert three.sel(lon=1.4, lat=1.0).elevation_deg[0] == 2.0
-    for call in ({"place_id": "B"}, {"place_id": "C"}, {"lon": 1.0}, {}):
+    for call in ({"place_id": "B"}, {"place_id": "C"}, {"place_id": "A", "lon": 1.0}, {}):
         with pytest.raises(InputError):
             three.sel(**call)
+
+
+@pytest.mark.parametrize(
+    ("lon", "lat"), [(np.nan, 0.0), (500_000.0, 5_200_000.0), ("1", "0"), ([1.0, 2.0], [0.0, 0.0])]
+)
+def test_no_place_is_nearest_to_what_is_no_position_in_degrees(lon, lat):
+    with pytest.raises(InputError):
+        horizons_of(1.0, 2.0).sel(lon=lon, lat=lat)
+
+
+def test_no_sun_shines_on_another_world():
+    on_the_moon = replace(horizons_of(1.0), crs=CRS.from_user_input("+proj=longlat +R=1737400"))
+    assert on_the_moon.to_geodataframe().crs == on_the_moon.crs
+    for call in (lambda: on_the_moon.sun_above("2026-06-21"), on_the_moon[0].sky):
+        with pytest.raises(InputError, match="another world"):
+            call()
 
 
 def test_a_series_is_of_one_place_or_of_all_by_place():

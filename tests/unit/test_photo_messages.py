@@ -27,6 +27,7 @@ from skyline.photo.user_sky_model import load_sky_model, model_skyline
 
 PERSPECTIVE = Projection.PERSPECTIVE
 PLAIN = PhotoSkyline(np.ones(2), np.ones(2), 2, 100)
+BELOW = PhotoSkyline(np.array([3.0, 40.0]), np.ones(2), 2, 9)
 
 
 class TestSkylines:
@@ -249,6 +250,7 @@ def test_a_narrowing_of_other_than_its_numbers(field, given, said):
     [
         (lambda: named_skyline(["photo.jpg"]), "of type list; expected one path"),
         (lambda: named_skyline("photo.jpg", "wide"), "expected a number of degrees"),
+        (lambda: named_skyline(BELOW), "row_px is 40 in column 1 of a picture of 9 rows"),
         (lambda: paths_of(b"store.h5"), "expected the path of a store"),
     ],
 )

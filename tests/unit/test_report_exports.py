@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 from PIL import Image, features
 from PIL.ExifTags import GPS, IFD, Base
+from pyproj import CRS
 from scenes import FRAME, at_m, candidate_at
 from shapely import Polygon
 from xmp_packets import FORMS, xmp_packet
@@ -106,6 +107,12 @@ def test_kmz_holds_the_photo(tmp_path, photos):
         with Image.open(io.BytesIO(archive.read("files/01.jpg"))) as picture:
             assert picture.size == (40, 30)
     assert kml.findtext(".//{*}PhotoOverlay/{*}Icon/{*}href") == "files/01.jpg"
+
+
+def test_places_of_another_world_are_put_into_no_map_of_the_earth(tmp_path):
+    moon = Frame.local(lon=9.8, lat=46.8, world=CRS.from_user_input("+proj=longlat +R=1737400"))
+    with pytest.raises(InputError, match="another world"):
+        export_matches(tmp_path / "answer.kml", matches(), moon)
 
 
 def test_gdal_reads_the_gpx(tmp_path):

@@ -14,7 +14,7 @@ from skyline.files import write_whole
 from skyline_bench.measuring import Row
 from skyline_bench.options import table_text
 from skyline_bench.records import read_record
-from skyline_bench.search.commands import SEARCHES
+from skyline_bench.search.commands import AGAINST_UNIFORM, SEARCHES
 from skyline_bench.search.trials import ALL, by_planner
 
 PAGE = "figures.md"
@@ -52,9 +52,7 @@ def draw_folder(folder: Path, out: Path) -> list[Path]:
         if figure is not None:
             files.append(save_diagram(figure, out / f"{name}.svg"))
             parts.append(f"![{name}](<{name}.svg>)")
-        search = SEARCHES.get(record["bench"])
-        text = table_text(record["rows"], None if search is None else search.columns)
-        parts.append(f"```text\n{text}\n```")
+        parts += [f"```text\n{text}\n```" for text in _tables(record)]
     write_whole(out / PAGE, "\n\n".join(parts) + "\n")
     return [*files, out / PAGE]
 
@@ -80,6 +78,17 @@ def _about(record: Mapping[str, Any]) -> Iterator[str]:
         words.insert(2, f"{machine['cores']} cores")
     if any(words):
         yield ", ".join(filter(None, words))
+
+
+def _tables(record: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the tables of a record as its command prints them."""
+    search = SEARCHES.get(record["bench"])
+    if search is None:
+        yield table_text(record["rows"])
+        return
+    yield table_text(search.shown(record["rows"]), search.columns)
+    if compared := record.get("summary", {}).get("against_uniform"):
+        yield table_text(compared, AGAINST_UNIFORM)
 
 
 def diagram_of(rows: Sequence[Row]) -> Figure | None:

@@ -37,7 +37,7 @@ from skyline_bench.queries import kinds
 from skyline_bench.queries.synthetic import Truth
 from skyline_bench.records import write_record
 from skyline_bench.search import trials
-from skyline_bench.search.stores import BuiltStore, StoreSpec, middle_deg
+from skyline_bench.search.stores import UNIFORM, BuiltStore, StoreSpec, middle_deg
 
 _GRIDS_M = (1024.0, 512.0, 256.0, 128.0)
 _THRESHOLDS_PX = (12.0, 6.0, 3.0)
@@ -45,8 +45,10 @@ _THRESHOLDS_PX = (12.0, 6.0, 3.0)
 _FOUND = "km2 n within_200m within_1km median_m mean_m answered precision query_s"
 _QUICK_M = 3000.0
 """Sides of the square that is searched by default with ``--quick``."""
+_QUICK_GRIDS_M = (256.0, 64.0)
+"""Grids with fewer and with more renderings than the first plans have in this square."""
 _QUICK_QUERIES = 3
-_AGAINST_UNIFORM = """store matcher queries km2 n renderings mean_m
+AGAINST_UNIFORM = """store matcher queries km2 n renderings mean_m
     uniform_mean_m=uniform_mean_m,_interpolated gain
     uniform_renderings=uniform_renderings,_interpolated share"""
 _HELP_COLUMNS = 78
@@ -73,6 +75,11 @@ class Search:
     # West, south, east, north of the area; by default all of the DEM, or what a given store covers.
     bounds_deg: Bounds | None = None
     seed: int = 0  # Seed of the queries
+
+    def shown(self, rows: Sequence[Row]) -> list[Row]:
+        """Return the rows that are printed: those of groups only where `columns` name the group."""
+        by_group = "group" in self.columns
+        return [row for row in rows if by_group or row["group"] == trials.ALL]
 
     def area_deg(self) -> Bounds | None:
         """Return the bounds of the area; None for all of the DEM."""
@@ -209,10 +216,15 @@ def _planned(*numbers: int | None) -> list[StoreSpec]:
     return [StoreSpec(places=number) for number in numbers]
 
 
-def _one_a_planner(stores: Sequence[StoreSpec]) -> list[StoreSpec]:
-    """Return the first store of each planner and kind."""
+def _few(stores: Sequence[StoreSpec]) -> list[StoreSpec]:
+    """Return the first store of each planner and kind, and a plan between two uniform grids."""
     first = {(spec.planner, spec.holds): spec for spec in reversed(stores)}
-    return [spec for spec in stores if spec in first.values()]
+    planned = {holds for planner, holds in first if planner != UNIFORM}
+    few = []
+    for (planner, holds), spec in reversed(first.items()):
+        is_compared = planner == UNIFORM and holds in planned
+        few += _grids(holds, _QUICK_GRIDS_M) if is_compared else [spec]
+    return few
 
 
 def _plans(strategies: Names, thresholds_px: Floats, seed: int = 0) -> list[StoreSpec]:
@@ -365,7 +377,7 @@ def command_of(name: str, search: Search) -> Callable[..., None]:
         stores += _planned(*(places or ()))
         if not stores:
             usual = [one for one in search.stores if one.holds in searched]
-            stores = _one_a_planner(usual) if quick else usual
+            stores = _few(usual) if quick else usual
         held = {one.held for one in stores}
         bounds_deg = None if bounds is None else parse_bounds(bounds)
         if bounds_deg is None and not store:
@@ -388,7 +400,7 @@ def command_of(name: str, search: Search) -> Callable[..., None]:
         asked.check(terrain)  # Before any folder is made
         if strange and kinds.STRANGERS not in asked.kinds:
             raise InputError(f"--strange is of --kind {kinds.STRANGERS}, which is not asked for")
-        other = read_dem(strange) if strange else None
+        other = read_dem(strange, DemOptions(crs=crs)) if strange else None
         with (
             options.store_folder(folder) as place,
             Terminal().progress("building and matching") as progress,
@@ -402,14 +414,11 @@ def command_of(name: str, search: Search) -> Callable[..., None]:
                 ]
         if strange:
             rows = [{**row, "strange": [Path(path).name for path in strange]} for row in rows]
-        by_group = "group" in search.columns
-        options.print_rows(
-            [row for row in rows if by_group or row["group"] == trials.ALL], search.columns
-        )
+        options.print_rows(search.shown(rows), search.columns)
         summary = {}
         if name == "uniform-adaptive":
             summary["against_uniform"] = trials.against_uniform(rows)
-            options.print_rows(summary["against_uniform"], _AGAINST_UNIFORM)
+            options.print_rows(summary["against_uniform"], AGAINST_UNIFORM)
         write_record(
             record,
             rows,
