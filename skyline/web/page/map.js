@@ -2,7 +2,7 @@
 import * as server from "./server.js";
 import { $, ARROWS, alertUser, degrees, element, isPhone, on, onPhone, percent, state, emit } from "./state.js";
 import { moveTo, placeAt, release } from "./hand.js";
-import { searchAround, showCircle, standing } from "./known.js";
+import { searchAround, standing } from "./known.js";
 
 const L = window.L;
 const REACH_M = 2000; // how far a view is drawn
@@ -327,7 +327,7 @@ export function start() {
   map.on("zoomend viewreset moveend", showCamera);
   map.on("moveend resize", showNames);
   map.on("zoomend", showLegend);
-  $("near-here").onclick = () => showCircle(middle());
+  $("near-here").onclick = () => searchAround(middle());
   $("place-here").onclick = () => placeAt(middle());
   new ResizeObserver(() => map.invalidateSize()).observe($("map"));
   showGround(null);
