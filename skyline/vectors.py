@@ -154,8 +154,9 @@ def _check_degrees(path: Path, shape: Shape) -> None:
 
 def _of_json(path: Path, photo: Path, in_pixels: bool) -> Vectors:
     """Return the shapes of GeoJSON, LabelMe or COCO."""
+    content = read_bytes(path, EXPECTED)
     try:
-        read = json.loads(read_bytes(path, EXPECTED).decode("utf-8-sig"))
+        read = json.loads(content.decode("utf-8-sig"))
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path} cannot be read as JSON ({error}); {EXPECTED}") from None
     try:
