@@ -86,8 +86,8 @@ def label_photo(task: LabelTask, listener: Listener) -> list[str]:
         )
     if task.peaks is None and task.time is None:
         raise InputError(
-            "nothing is to be named; give the summits as --peaks FILE, or the photo's --time for the "
-            "sun and the moon"
+            "nothing is to be named; give the summits as --peaks FILE, or the photo's --time for "
+            "the sun and the moon"
         )
     check_outputs([task.output], [task.photo, *filter(None, [task.pose, task.peaks])])
     record = None if task.pose is None else read_pose(task.pose, task.photo)
