@@ -232,8 +232,8 @@ def fit_points(
     """
     if len(points) < LEAST_POINTS:
         raise InputError(
-            f"{points.path} has {len(points)} points; expected {LEAST_POINTS} or more, and 5 or "
-            "more for a wrong one to be named"
+            f"{points.path}: points given: {len(points)}; expected {LEAST_POINTS} or more, and 5 "
+            "or more for a wrong one to be named"
         )
     fit = _Fit(viewer, photo, points, known, errors or PointErrors())
     used = np.ones(len(points), dtype=bool)

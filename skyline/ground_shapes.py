@@ -24,6 +24,9 @@ _MOST_PIECES = 5000
 """Most pieces of a ring of the map; a longer one is cut more coarsely."""
 _CORRELATED = 1000
 """Most places whose height errors are told apart; of more, neighbours are taken together."""
+_JUMP = 1.5
+"""Least ratio of the distances of two neighbouring points that no slope joins. On level ground a
+piece of a line is so long only where it is seen at less than a degree."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +35,18 @@ class Measure:
 
     value: float
     sd: float
+
+
+@dataclass(frozen=True, slots=True)
+class Jump:
+    """Where a photo's line passes from near ground to the ground that shows behind it."""
+
+    near_m: float
+    """Horizontal distance from the camera to the near ground."""
+    far_m: float
+    """And to the ground behind it."""
+    column_px: float
+    row_px: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,6 +64,8 @@ class GroundShape:
     """Metres along the slope."""
     area: Measure | None = None
     """Square metres, level; None for a point and a line."""
+    jump: Jump | None = None
+    """The widest jump, which lengths and areas hold; None if the ground goes on everywhere."""
 
     @property
     def vertices(self) -> GroundPoints:
@@ -124,6 +141,7 @@ def on_ground(view: GroundView, shape: Shape, frame: Frame, errors: GroundErrors
         measured.length(),
         sum(_lengths_m(ring, is_closed, level=False)[0].sum() for ring in rings) / measured.scale,
         measured.area() if is_closed else None,
+        _widest_jump(found, kept),
     )
 
 
@@ -160,6 +178,24 @@ def _positions(ring: Float64Array, step: float, is_closed: bool) -> Float64Array
     between = [k + np.arange(count) / count for k, count in enumerate(pieces)]
     last = [] if is_closed else [np.array([len(ring) - 1.0])]
     return np.concatenate([*between, *last])
+
+
+def _widest_jump(found: GroundShape, positions: Sequence[Float64Array]) -> Jump | None:
+    """Return the jump with the greatest ratio of its distances, if it is one."""
+    widest, most = None, _JUMP
+    for ring, drawn, at in zip(found.rings, found.shape.rings, positions, strict=True):
+        before_m, after_m = ring.distance_m, np.roll(ring.distance_m, -1)
+        if found.shape.kind != POLYGON:
+            before_m, after_m = before_m[:-1], after_m[:-1]
+        near_m, far_m = np.minimum(before_m, after_m), np.maximum(before_m, after_m)
+        if not len(near_m):
+            continue
+        k = int(np.argmax(far_m / near_m))
+        if far_m[k] / near_m[k] > most:
+            column_px, row_px = _between(drawn, at[k : k + 1])[0]
+            widest = Jump(float(near_m[k]), float(far_m[k]), float(column_px), float(row_px))
+            most = widest.far_m / widest.near_m
+    return widest
 
 
 def _between(ring: Float64Array, position: Float64Array) -> Float64Array:

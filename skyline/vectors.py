@@ -31,6 +31,8 @@ EXPECTED = (
 """What a file of vectors is, for errors."""
 PHOTO_MEMBER = "photo"
 """Member of a FeatureCollection in pixels: the photo's name, width and height."""
+VERTICES_LAYER = "vertices"
+"""Layer of a GeoPackage that `draw` writes: the errors of drawn vertices."""
 _PARTS = {
     POINT: (POINT, 0), "MultiPoint": (POINT, 1), LINE: (LINE, 0), "MultiLineString": (LINE, 1),
     POLYGON: (POLYGON, 0), "MultiPolygon": (POLYGON, 1),
@@ -152,8 +154,9 @@ def _check_degrees(path: Path, shape: Shape) -> None:
 
 def _of_json(path: Path, photo: Path, in_pixels: bool) -> Vectors:
     """Return the shapes of GeoJSON, LabelMe or COCO."""
+    content = read_bytes(path, EXPECTED)
     try:
-        read = json.loads(read_bytes(path, EXPECTED).decode("utf-8-sig"))
+        read = json.loads(content.decode("utf-8-sig"))
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path} cannot be read as JSON ({error}); {EXPECTED}") from None
     try:
@@ -460,16 +463,29 @@ def _svg_path(path: Path, steps: str) -> Iterator[tuple[str, Float64Array]]:
 
 
 def _of_geopackage(path: Path) -> Vectors:
-    """Return the shapes of a GeoPackage, in degrees."""
+    """Return the shapes of all layers of a GeoPackage, in degrees.
+
+    Not those of `draw`'s own layer of vertices, which lie on its other shapes.
+    """
     geopandas = library("geopandas", f"reading {path}")
     if not path.exists():
         read_bytes(path, EXPECTED)
     try:
-        table = geopandas.read_file(path)
+        named = geopandas.list_layers(path)
+        layers = {
+            layer: geopandas.read_file(path, layer=layer)
+            for layer in named["name"][named["geometry_type"].notna()]
+        }
     except Exception as error:
         raise InputError(f"{path} cannot be read ({printable(str(error))[:80]})") from None
-    if table.crs is None:
-        raise InputError(f"{path} names no CRS; set the layer's CRS, or give GeoJSON in degrees")
-    read = json.loads(table.to_crs(4326).to_json(drop_id=True))
-    read.pop("crs", None)
-    return _of_geojson(path, read, in_pixels=False)
+    features = list[Any]()
+    for layer, table in layers.items():
+        if layer == VERTICES_LAYER and "semi_major_m" in table.columns:
+            continue
+        if table.crs is None:
+            raise InputError(
+                f"{path}: the layer {printable(layer)} names no CRS; set it, or give GeoJSON in "
+                "degrees"
+            )
+        features += json.loads(table.to_crs(4326).to_json(drop_id=True))["features"]
+    return _of_geojson(path, {"type": "FeatureCollection", "features": features}, in_pixels=False)

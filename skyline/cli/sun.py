@@ -81,6 +81,11 @@ def sun(
         terminal.line("time_utc,lon,lat,distance_m,azimuth_deg,elevation_deg,body")
         for line in lines:
             terminal.line(line)
+        if not lines:
+            terminal.note(
+                f"neither the sun nor the moon stands over the summit on {asked}, as seen from "
+                f"within {within:g} km; give another day, or a greater --within"
+            )
         return
     eyes = stand_with_notes(terrain, positions, eye_height, summit_within, terminal)
     with terminal.progress("rendering") as progress:

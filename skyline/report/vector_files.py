@@ -16,7 +16,7 @@ from skyline.geodesy.map_frame import Frame
 from skyline.ground import GroundPoints
 from skyline.ground_shapes import GroundShape, PhotoShape
 from skyline.photo.skyline import PhotoSkyline
-from skyline.vectors import LINE, PHOTO_MEMBER, POINT, POLYGON
+from skyline.vectors import LINE, PHOTO_MEMBER, POINT, POLYGON, VERTICES_LAYER
 
 MAP_FILES = (*GEOJSON, ".gpkg", ".kml")
 """Suffixes of shapes on the map."""
@@ -119,7 +119,9 @@ def _measures(found: GroundShape) -> Json:
             "length_sd_m": round(found.length.sd, _METRES),
             "slope_length_m": round(found.slope_length_m, _METRES),
         }
+    jump_m = 0.0 if found.jump is None else found.jump.far_m - found.jump.near_m
     return figures | {
+        "jump_m": round(jump_m, _METRES),
         "error_m": round(float(np.median(vertices.error_m)), _METRES),
         "grazing_share": round(float(vertices.is_grazing.mean()), 3),
     }
@@ -168,7 +170,7 @@ def _geopackage(path: Path, features: Sequence[Json]) -> bytes:
         for vertex in one["properties"].get("vertices", ()):
             place = [vertex["lon"], vertex["lat"], vertex["elevation_m"]]
             geometry = {"type": POINT, "coordinates": place}
-            layers.setdefault("vertices", []).append(
+            layers.setdefault(VERTICES_LAYER, []).append(
                 {"type": "Feature", "geometry": geometry, "properties": {"shape": number, **vertex}}
             )
     # Layers are added in a folder of this machine: some network folders lack SQLite's file locks.

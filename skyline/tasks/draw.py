@@ -11,7 +11,7 @@ from skyline.camera import Projection
 from skyline.errors import InputError, suffix_of
 from skyline.files import GEOJSON, check_outputs, on_disk, write_whole
 from skyline.ground import GroundErrors, GroundView
-from skyline.ground_shapes import GroundShape, Measure, in_photo, on_ground
+from skyline.ground_shapes import GroundShape, Jump, Measure, in_photo, on_ground
 from skyline.photo.photo import Photo
 from skyline.pose_file import read_posed
 from skyline.report.vector_files import MAP_FILES, write_in_photo, write_on_map
@@ -131,10 +131,13 @@ def _counted(number: int) -> str:
 
 
 def _lines(found: Sequence[GroundShape]) -> list[str]:
-    """Return a line on each of a few shapes, and one on grazing views."""
+    """Return a line on each of a few shapes, one on jumps, and one on grazing views."""
     lines = [f"  {one.shape.where}: {_in_words(one)}" for one in found[:_MOST_LINES]]
     if len(found) > _MOST_LINES:
         lines.append(f"  and {len(found) - _MOST_LINES} more")
+    jumps = [(one.shape.where, one.jump) for one in found if one.jump is not None]
+    if jumps:
+        lines.append(f"  {_counted(len(jumps))} {_jumping(*jumps[0], len(jumps))}")
     grazing = np.concatenate([one.vertices.is_grazing for one in found])
     if grazing.any():
         lines.append(
@@ -142,6 +145,15 @@ def _lines(found: Sequence[GroundShape]) -> list[str]:
             "height moves them by 20 m or more"
         )
     return lines
+
+
+def _jumping(where: str, jump: Jump, number: int) -> str:
+    """Say that shapes jump, and where one of them does."""
+    return (
+        f"jump{'s' if number == 1 else ''} over an edge, {where} from {jump.near_m:.0f} to "
+        f"{jump.far_m:.0f} m away at column {jump.column_px:.0f}, row {jump.row_px:.0f}: the model "
+        "hides the ground between, and lengths and areas hold the jump"
+    )
 
 
 def _in_words(one: GroundShape) -> str:

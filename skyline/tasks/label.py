@@ -45,8 +45,8 @@ class LabelTask:
     """Elevation files, or folders of them."""
     crs: str | None = None
     """CRS of elevation files that name none."""
-    peaks: Path
-    """Gazetteer."""
+    peaks: Path | None
+    """Gazetteer; None draws the sun and the moon alone."""
     output: Path
     """Copy with names, of the kinds of `LABEL_FILES`."""
     at: CameraAt = CameraAt()  # noqa: RUF009  (it is frozen)
@@ -84,7 +84,12 @@ def label_photo(task: LabelTask, listener: Listener) -> list[str]:
             "--pose has the position, the heading and the field of view; leave --at, --elevation, "
             "--heading and --fov-deg out"
         )
-    check_outputs([task.output], [task.photo, *filter(None, [task.pose]), task.peaks])
+    if task.peaks is None and task.time is None:
+        raise InputError(
+            "nothing is to be named; give the summits as --peaks FILE, or the photo's --time for "
+            "the sun and the moon"
+        )
+    check_outputs([task.output], [task.photo, *filter(None, [task.pose, task.peaks])])
     record = None if task.pose is None else read_pose(task.pose, task.photo)
     own = None if record is None else record.projection
     picture = read_photo(task.photo, task.fov_deg, projection=task.projection or own)
@@ -97,7 +102,7 @@ def label_photo(task: LabelTask, listener: Listener) -> list[str]:
         task.at.place_of(photo, str(task.photo))  # Refused before the DEM is read
     with listener.slow("reading the elevation model"):
         terrain = read_dem(task.dem, DemOptions(crs=task.crs))
-    gazetteer = read_peaks(task.peaks, terrain.frame)
+    gazetteer = None if task.peaks is None else read_peaks(task.peaks, terrain.frame)
     with Viewer(terrain, gazetteer) as viewer:
         camera = _camera_of(task, photo, noted, viewer, listener)
         with listener.slow("looking for summits"):
@@ -105,6 +110,9 @@ def label_photo(task: LabelTask, listener: Listener) -> list[str]:
             bodies = _bodies(task, camera.pose, photo, viewer, listener)
             unnamed = _write(task, picture.rgb, photo, camera, seen, bodies, viewer)
             unseen = viewer.unseen(camera.pose, photo, seen)
+    if gazetteer is None:
+        names = " and ".join(f"the {one.name}" for one in bodies)
+        return [f"in the photo: {names or 'neither the sun nor the moon'}"]
     return [f"{len(seen)} of {len(gazetteer)} peaks are seen", *_missing(unnamed, unseen)]
 
 

@@ -56,8 +56,9 @@ def warn_of_border(found: LocalHorizons) -> None:
     """Log a warning where terrain beyond the data may be higher."""
     unsure = (found.flags & (FLAG_TRUNCATED | FLAG_HOLE)) != 0
     if unsure.any():
+        percent = 100.0 * unsure.mean()
         _log.warning(
-            "%.0f %% of the azimuths look over the DEM's border or over a hole, where higher "
+            "%s %% of the azimuths look over the DEM's border or over a hole, where higher "
             "terrain may be hidden; give a DEM of a wider area",
-            100.0 * unsure.mean(),
+            f"{percent:.0f}" if percent >= 1.0 else "less than 1",
         )

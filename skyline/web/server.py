@@ -138,7 +138,8 @@ def _listening(host: str, port: int) -> socket.socket:
         return socket.create_server((host, port), family=family, dualstack_ipv6=is_v6)
     except OSError as error:
         raise InputError(
-            f"{host} port {port} cannot be listened on ({error}); name another with --port"
+            f"{host} port {port} cannot be listened on ({error}); name another port with --port, "
+            "or an address of this machine with --host"
         ) from error
 
 

@@ -100,6 +100,13 @@ def test_geopackages_and_kml_hold_the_same(draw, vectors, tmp_path):
     assert [one.text for one in names] == ["hut", "path", "lake"]
 
 
+def test_all_layers_of_a_geopackage_are_drawn_into_the_photo(draw, vectors, tmp_path):
+    draw(vectors, tmp_path / "map.gpkg").ok()
+    done = draw(tmp_path / "map.gpkg", tmp_path / "in.geojson").ok()
+    assert "3 shapes of the map; seen 3" in done.out
+    assert done.err == ""
+
+
 def test_there_and_back_is_where_it_was_drawn(draw, vectors, tmp_path):
     there, back = tmp_path / "map.geojson", tmp_path / "back.geojson"
     draw(vectors, there).ok()

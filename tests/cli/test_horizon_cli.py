@@ -178,6 +178,14 @@ def test_places_are_given_from_which_the_sun_is_over_a_summit(run, dem, places):
     assert float(noon["lat"]) > lat
 
 
+def test_a_summit_over_which_the_sun_never_stands_is_said(run, dem, places):
+    # Seen from within 10 m, it is overhead.
+    over = "--over", places[0], "--within", 0.01
+    done = run("sun", dem, "--at", places[0], "--date", "2026-12-21", *over).ok()
+    assert table(done.out) == []
+    assert "neither the sun nor the moon stands over the summit on 2026-12-21" in done.err
+
+
 def test_a_panorama_with_geojson_peaks(run, dem, places, tmp_path):
     terrain = read_dem([dem])
     row, col = np.unravel_index(np.nanargmax(terrain.heights_m), terrain.heights_m.shape)

@@ -4,7 +4,7 @@ import json
 from datetime import datetime
 
 import pytest
-from commands import csv_of
+from commands import assert_refused
 
 TIME = "2026-01-10T08:50:00+00:00"
 
@@ -12,11 +12,11 @@ TIME = "2026-01-10T08:50:00+00:00"
 @pytest.fixture
 def label(run, dem, photo, pose, tmp_path):
     """Return a function that labels a photo with its sun, and returns the file."""
-    peaks = csv_of(tmp_path / "peaks.csv", ["Top,601800,5178000"], "name,easting,northing")
 
     def labelled(name):
-        options = "--pose", pose, "--dem", dem, "--peaks", peaks, "--time", TIME
+        options = "--pose", pose, "--dem", dem, "--time", TIME
         done = run("label", photo, *options, "-o", tmp_path / name).ok()
+        assert done.out == f"{tmp_path / name}: in the photo: the sun\n"
         assert "the moon is outside the photo, at azimuth" in done.err
         return tmp_path / name
 
@@ -25,6 +25,11 @@ def label(run, dem, photo, pose, tmp_path):
 
 def test_the_sun_is_drawn_into_a_photo(label):
     assert "#ffd23f" in label("sun.svg").read_text()
+
+
+def test_a_label_without_peaks_and_without_a_time_names_both(run, dem, photo, pose, tmp_path):
+    done = run("label", photo, "--pose", pose, "--dem", dem, "-o", tmp_path / "a.png")
+    assert_refused(done, "give the summits as --peaks FILE, or the photo's --time")
 
 
 def test_the_sun_in_a_photo_gives_back_the_time_and_the_heading(run, dem, photo, pose, label):

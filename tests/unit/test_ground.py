@@ -103,6 +103,24 @@ def test_a_ray_beside_an_edge_may_show_what_is_far_behind_it():
     assert near.error_m[0] > 3.0 * before.error_m[0] * (495.0 / 300.0) ** 2
 
 
+def line_to(view, *distances_m):
+    """Return the line in the middle column to level ground so far away, on the ground."""
+    pixels = [np.concatenate(straight_down_to(view, d)) for d in distances_m]
+    return on_ground(view, Shape(LINE, (np.stack(pixels),), "a", {}), view.terrain.frame, EXACT)
+
+
+def test_a_line_over_an_edge_says_from_where_to_where_it_jumps():
+    step = field_from(lambda east, north: np.where(north > 500.0, -80.0, 0.0), 81, 50.0)
+    # The ray over the edge, 100 m below the eye at 500 m, meets the ground 180 m below at 900 m.
+    jump = line_to(view_at(step), 300.0, 1100.0).jump
+    assert (jump.near_m, jump.far_m) == (pytest.approx(500.0, rel=0.1), pytest.approx(900, rel=0.1))
+    assert jump.column_px == pytest.approx(199.5, abs=0.01)
+
+
+def test_a_line_on_level_ground_does_not_jump():
+    assert line_to(view_at(PLANE), 300.0, 1100.0).jump is None
+
+
 @pytest.mark.parametrize("projection", Projection)
 def test_a_camera_s_changes_are_differences_of_directions(projection):
     pose = candidate_at(0.0, 0.0, 30.0, 4.0, -3.0, 70.0)

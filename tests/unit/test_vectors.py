@@ -157,9 +157,10 @@ def test_files_that_hold_no_shapes_are_refused(read, name, content):
         read(name, content)
 
 
-def test_a_missing_file_is_told(tmp_path):
+@pytest.mark.parametrize("name", ["none.gpx", "none.json"])
+def test_a_missing_file_is_told(tmp_path, name):
     with pytest.raises(MissingFileError):
-        read_vectors(tmp_path / "none.gpx", tmp_path / "a.jpg")
+        read_vectors(tmp_path / name, tmp_path / "a.jpg")
 
 
 @pytest.mark.parametrize("size", [(640, 481), None])

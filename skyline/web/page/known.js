@@ -7,6 +7,8 @@ const MOST_KM = 100;
 const NOTHING = { heading_deg: null, near: null, elevation_m: null, eye_height_m: null };
 // Numbers that a slider's steps would round; each holds until its slider is moved.
 const exact = {};
+// Whether the user gave the circle. A circle from a photo's own position is of that photo alone.
+let isGiven = false;
 
 const value = (id) => exact[id] ?? $(id).valueAsNumber;
 const isKnown = (name) => $(`${name}-known`).checked;
@@ -67,6 +69,7 @@ function placeIn(text) {
 function typed() {
   const text = $("near-place").value;
   if (!text.trim()) {
+    isGiven = true;
     $("near-known").checked = false;
     return showCircle();
   }
@@ -78,6 +81,7 @@ function typed() {
 
 // Limits the search to the circle round a place.
 export function searchAround(place) {
+  isGiven = true;
   $("near-known").checked = true;
   showCircle(place);
 }
@@ -113,13 +117,16 @@ function fromPhoto(photo) {
   $("fov-known").checked = fov_deg !== null;
   $("heading-known").checked = asked.heading_deg !== null;
   const near = asked.near ?? (photo.result ? null : photo.near);
-  // A circle that was given before the photo stays, where there is no store to search instead.
-  if (near || state.ground || photo.lonlat_deg) $("near-known").checked = Boolean(near);
+  if (near) isGiven = !isOwn(near, photo);
+  // A circle that the user gave before the photo stays, where there is no store to search instead.
+  if (near || state.ground || photo.lonlat_deg || !isGiven) $("near-known").checked = Boolean(near);
   $("elevation-known").checked = asked.elevation_m !== null;
   fillNumbers(photo, { ...asked, near }, fov_deg ?? photo.fov_deg);
   const [lon, lat] = near ?? photo.lonlat_deg ?? [];
   showCircle(lon === undefined ? null : { lon, lat });
 }
+
+const isOwn = ([lon, lat], { near }) => near?.[0] === lon && near[1] === lat;
 
 function fillNumbers(photo, asked, fov_deg) {
   const heading_deg = asked.heading_deg?.[0] ?? photo.heading_deg ?? null;
@@ -158,7 +165,10 @@ export function start() {
       id === "radius" ? showCircle() : show();
     };
   }
-  $("near-known").onchange = () => showCircle();
+  $("near-known").onchange = () => {
+    isGiven = true;
+    showCircle();
+  };
   $("near-place").onchange = typed;
   $("near-place").onfocus = () => $("near-place").select();
   $("known-form").onsubmit = (event) => event.preventDefault();

@@ -2,14 +2,15 @@
 import * as server from "./server.js";
 import { $, ARROWS, alertUser, degrees, element, isPhone, on, onPhone, percent, state, emit } from "./state.js";
 import { moveTo, placeAt, release } from "./hand.js";
-import { searchAround, showCircle, standing } from "./known.js";
+import { searchAround, standing } from "./known.js";
 
 const L = window.L;
 const REACH_M = 2000; // how far a view is drawn
 const HANDLE_PX = [74, 102, 130]; // distances of the handle from the camera, the first that is free
 const APART_PX = 26;
 const MOST_NAMES = 60;
-const STEPS_DEG = [30, 10, 5, 2, 1, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01]; // between lines on an empty map
+const STEPS_DEG = [0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 30, 90]; // between lines on an empty map
+const NAME_PX = [90, 50]; // room for the name of such a line, across and down
 const EARTH_M = 6371008.8;
 let map;
 let relief = null; // of the ground
@@ -282,23 +283,24 @@ function showGround(ground) {
   if (!map.hasLayer(circle)) state.circle = middle();
 }
 
-// Draws lines of latitude and longitude, named, a few on each side.
+// Draws lines of latitude and longitude, named, as many as have room for their names.
 function showDegrees() {
   frame.clearLayers();
+  const size = map.getSize();
   const seen = map.getBounds();
   const [west, south, east, north] = [seen.getWest(), seen.getSouth(), seen.getEast(), seen.getNorth()];
   const line = (from, to, name, offset) => L.polyline([from, to], { color: "#79838c", weight: 1, interactive: false })
     .bindTooltip(name, { permanent: true, direction: "right", offset, className: "degrees" }).addTo(frame).openTooltip(from);
-  for (const lat of linesBetween(Math.max(-80, south), Math.min(80, north), 3)) {
+  for (const lat of linesBetween(Math.max(-80, south), Math.min(80, north), size.y / NAME_PX[1])) {
     line([lat, west], [lat, east], degreesOf(lat, "N", "S"), [0, 0]);
   }
-  for (const lon of linesBetween(west, east, 5)) {
+  for (const lon of linesBetween(west, east, size.x / NAME_PX[0])) {
     line([north, lon], [south, lon], degreesOf(offMap({ lat: 0, lng: lon }).lon, "E", "W"), [0, 10]);
   }
 }
 
-function linesBetween(from, to, least) {
-  const step = STEPS_DEG.find((one) => one * least < to - from) ?? STEPS_DEG.at(-1);
+function linesBetween(from, to, most) {
+  const step = STEPS_DEG.find((one) => to - from <= most * one) ?? STEPS_DEG.at(-1);
   const first = Math.ceil(from / step);
   return Array.from({ length: Math.max(0, Math.floor(to / step) - first + 1) }, (_, k) => (first + k) * step);
 }
@@ -327,7 +329,7 @@ export function start() {
   map.on("zoomend viewreset moveend", showCamera);
   map.on("moveend resize", showNames);
   map.on("zoomend", showLegend);
-  $("near-here").onclick = () => showCircle(middle());
+  $("near-here").onclick = () => searchAround(middle());
   $("place-here").onclick = () => placeAt(middle());
   new ResizeObserver(() => map.invalidateSize()).observe($("map"));
   showGround(null);
