@@ -36,6 +36,7 @@ from skyline.cli.terminal import Terminal
 from skyline.errors import InputError
 from skyline.files import STANDARD
 from skyline.match.matcher import FULL
+from skyline.report.posterior_files import POSTERIOR_FILES
 from skyline.report.results_file import RESULTS
 from skyline.tasks.match import (
     UNREFINED,
@@ -87,6 +88,15 @@ def match(
     ] = FULL,
     surface: SurfaceFiles = None,
     export: Export = None,
+    probability: Annotated[
+        list[Path] | None,
+        files_to_write(
+            metavar="FILE",
+            help="Write how probable each place of the searched area is, with an answer or without "
+            f"({', '.join(POSTERIOR_FILES)}): a GeoTIFF, or outlines of 50, 80 and 95 %; may be "
+            "repeated.",
+        ),
+    ] = None,
     peaks: ReportPeaks = None,
     results: Annotated[
         Path | None,
@@ -130,6 +140,7 @@ def match(
         report=report,
         peaks=peaks,
         exports=export or (),
+        probability=probability or (),
         results=results,
     )
     raise typer.Exit(match_photos(task, Terminal.of(context, as_json)))

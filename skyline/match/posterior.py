@@ -1,11 +1,20 @@
 r"""Posterior: the probability of every place of the searched area, given a photo.
 
-A search knows its candidates c, their covariances, and how sure the best one is: it is right within
+A search has candidates c, their covariances, and how sure the best one is: it is right within
 200 m with the probability P_200, and within 1 km with P_1000. The posterior of a place x is
 
 .. math::
 
-    p(x) = \sum_c m_c\, N(x; x_c, \Sigma_c + s^2) + r\, N(x; x_1, S^2) + q\, p_q(x)
+    p(x) = \sum_c m_c\, t(x; x_c, \Sigma_c) + r\, N(x; x_1, S^2) + q\, p_q(x)
+
+with Student's t of n degrees of freedom, which is as wide as the normal distribution where that
+holds 95 %: covariances are often too large, and now and then too small by far.
+
+.. math::
+
+    t(x; x_c, \Sigma) = \frac{1}{2 \pi k \sqrt{|\Sigma|}}
+    \left(1 + \frac{(x - x_c)^T \Sigma^{-1} (x - x_c)}{n k}\right)^{-(n + 2) / 2}, \quad
+    k = \frac{-2 \ln 0.05}{n (0.05^{-2 / n} - 1)}
 
 The masses m of the candidates are their confidences, so that of the best is P_200; r is the rest of
 P_1000, and q is what is left: the probability that no candidate is right. It is spread by what
@@ -51,20 +60,20 @@ class Spread:
     Rofental, whose true places are known.
     """
 
-    model_sd_m: float = 3.0
-    """s, the deviation added to candidates: errors of the model that covariances do not have."""
+    freedom: float = 3.0
+    """n, the degrees of freedom of candidates' errors."""
     roughly_sd_m: float = 400.0
     """S: most of such a distribution lies between 200 m and 1 km from its middle."""
-    fitted_share: float = 0.5
+    fitted_share: float = 0.65
     """f, the share of fitted poses in the probability that no candidate is right."""
-    temperature: float = 2.0
+    temperature: float = 0.25
     """T, by which the costs of fitted poses are divided."""
     around_m: float = 100.0
     """t, the deviation around fitted poses and places, beside half a place's square."""
     score_weight: float = 1.0
     """b, the gain of log probability with the score of a place."""
-    reach_sds: float = 6.0
-    """Deviations at which normal distributions are cut off."""
+    reach_sds: float = 10.0
+    """Deviations of a candidate beyond which nothing is drawn."""
     unknown_sd_m: float = 40.0
     """Deviation of a candidate without a covariance, which was not refined."""
 
@@ -104,21 +113,13 @@ class AlikePlaces(Rows):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Spots(Rows):
-    """N normal distributions of a place, each with a share of the probability."""
+    """N candidates, each with a share of the probability."""
 
     easting_m: Float64Array
     northing_m: Float64Array
     covariance_m2: Float64Array
     """(N, 2, 2) float64."""
     share: Float64Array
-
-    @classmethod
-    def round(
-        cls, easting_m: Float64Array, northing_m: Float64Array, sd_m: float, share: Float64Array
-    ) -> Spots:
-        """Return distributions with one deviation in all directions."""
-        covariance_m2 = np.tile(sd_m**2 * np.eye(2), (len(share), 1, 1))
-        return cls(easting_m, northing_m, covariance_m2, share)
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -210,14 +211,18 @@ class Posterior(ShortRepr):
             [self._simplified(points[begin:end]) for begin, end in pairwise(ends)]
             for points, ends in zip(*found, strict=True)
         )
-        return [[ring for ring in rings if len(ring) > 3] for rings in polygons if len(rings[0]) > 3]
+        return [
+            [ring for ring in rings if len(ring) > 3] for rings in polygons if len(rings[0]) > 3
+        ]
 
     def _simplified(self, ring: Float64Array) -> Float64Array:
         """Return a closed outline with fewer points, moved by half a cell at most."""
         # Single precision has no room for eastings of a whole country.
         off = (ring - ring[0]).astype(np.float32)
         kept = cv2.approxPolyDP(off[:-1, np.newaxis], 0.5 * self.cell_m, closed=True)[:, 0]
-        return np.asarray(ring[0] + np.concatenate([kept, kept[:1]]), dtype=np.float64)
+        closed = ring[0] + np.concatenate([kept, kept[:1]], dtype=np.float64)
+        # Rows count southwards, so what turns left on the grid turns right on the map.
+        return closed[::-1]
 
     def to_xarray(self) -> DataArray:
         """Return the probabilities as a DataArray (y, x), on the frame's map.
@@ -256,9 +261,14 @@ def posterior_of(
     frame : Frame
         The frame of all of them.
     """
-    spots, left = candidate_spots(candidates)
+    spots, roughly, left = candidate_spots(candidates)
     layer = _Layer.around(places, spots)
-    layer.add(spots)
+    for spot in spots:
+        layer.add_spot(spot)
+    if len(spots):
+        best = spots[:1]
+        wide_m = np.array([SPREAD.roughly_sd_m])
+        layer.add_round(best.easting_m, best.northing_m, wide_m, np.array([roughly]))
     by_fits = SPREAD.fitted_share * left if len(fitted) else 0.0
     if by_fits:
         share = by_fits * _softmax(-fitted.cost / SPREAD.temperature)
@@ -273,29 +283,26 @@ def posterior_of(
     )
 
 
-def candidate_spots(candidates: Sequence[Pose]) -> tuple[Spots, float]:
-    """Return the distributions of candidates, and the probability that none is right.
+def candidate_spots(candidates: Sequence[Pose]) -> tuple[Spots, float, float]:
+    """Return the candidates with their shares of the probability.
 
-    A candidate within 200 m of a better one has no share of its own: the better one's confidence
-    and covariance include it.
+    The second value is the probability that the best candidate is off by 200 m to 1 km and no other
+    is right, the third that none is right. A candidate within 200 m of a better one has no share of
+    its own: the better one's confidence and covariance include it.
     """
     if not candidates:
         none = np.zeros(0)
-        return Spots(none, none, np.zeros((0, 2, 2)), none), 1.0
-    best = candidates[0]
+        return Spots(none, none, np.zeros((0, 2, 2)), none), 0.0, 1.0
     place = np.array([(one.easting_m, one.northing_m) for one in candidates])
     apart_m = np.hypot(*(place[:, np.newaxis] - place).T)
     is_near = np.tril(apart_m <= RIGHT_WITHIN_M, -1).any(axis=1)
     share = np.array([one.confidence or 0.0 for one in candidates]) * ~is_near
-    off_m = apart_m[0]
-    within_1km = float(share[off_m <= ROUGHLY_WITHIN_M].sum())
-    roughly = max(0.0, (best.confidence_1km or 0.0) - within_1km)
+    within_1km = float(share[apart_m[0] <= ROUGHLY_WITHIN_M].sum())
+    roughly = max(0.0, (candidates[0].confidence_1km or 0.0) - within_1km)
     left = max(0.0, 1.0 - float(share.sum()) - roughly)
     unknown = ((SPREAD.unknown_sd_m**2, 0.0), (0.0, SPREAD.unknown_sd_m**2))
     covariance_m2 = np.array([one.covariance_m2 or unknown for one in candidates])
-    spots = Spots(*place.T, covariance_m2 + SPREAD.model_sd_m**2 * np.eye(2), share)
-    around = Spots.round(*place[:1].T, SPREAD.roughly_sd_m, np.array([roughly]))
-    return Spots.concatenate([spots, around]), left
+    return Spots(*place.T, covariance_m2, share), roughly, left
 
 
 def _softmax(values: Float64Array) -> Float64Array:
@@ -324,26 +331,19 @@ class _Layer:
         shape = math.ceil((north - south) / cell_m), math.ceil((east - west) / cell_m)
         return cls(west, north, cell_m, np.zeros(shape))
 
-    def add(self, spots: Spots) -> None:
-        """Add normal distributions, as far as they lie on the grid."""
-        for spot in spots:
-            self._add_spot(spot)
-
-    def _add_spot(self, spot: Spots) -> None:
+    def add_spot(self, spot: Spots) -> None:
+        """Add a candidate's distribution, as far as it lies on the grid."""
         # A distribution that is narrower than a cell has the deviation of half a cell.
         covariance = spot.covariance_m2[0] + (0.5 * self.cell_m) ** 2 * np.eye(2)
         reach = SPREAD.reach_sds * np.sqrt(np.diag(covariance))
         rows, cols = self.probability.shape
         col = _cells(spot.easting_m[0] - self.west_m, reach[0], self.cell_m, cols)
         row = _cells(self.north_m - spot.northing_m[0], reach[1], self.cell_m, rows)
-        if col.start >= col.stop or row.start >= row.stop or not spot.share[0]:
+        if col.start >= col.stop or row.start >= row.stop:
             return
         east = self.west_m + (np.arange(col.start, col.stop) + 0.5) * self.cell_m
         north = self.north_m - (np.arange(row.start, row.stop) + 0.5) * self.cell_m
-        precision = np.linalg.inv(covariance)
-        dx, dy = east - spot.easting_m[0], (north - spot.northing_m[0])[:, np.newaxis]
-        squares = precision[0, 0] * dx**2 + precision[1, 1] * dy**2 + 2 * precision[0, 1] * dx * dy
-        density = math.sqrt(np.linalg.det(precision)) / (2.0 * math.pi) * np.exp(-0.5 * squares)
+        density = _density(covariance, east - spot.easting_m[0], north - spot.northing_m[0])
         self.probability[row, col] += spot.share[0] * self.cell_m**2 * density
 
     def add_round(
@@ -375,6 +375,20 @@ class _Layer:
         size = shape[1] * step, shape[0] * step
         finer = cv2.resize(total, size, interpolation=cv2.INTER_LINEAR)[:rows, :cols]
         self.probability[:] += finer / step**2
+
+
+def _density(
+    covariance_m2: Float64Array, east_m: Float64Array, north_m: Float64Array
+) -> Float64Array:
+    """Return Student's t (R, C), a square metre, at offsets east (C,) and north (R,)."""
+    freedom = SPREAD.freedom
+    scale = -2.0 * math.log(0.05) / (freedom * (0.05 ** (-2.0 / freedom) - 1.0))
+    precision = np.linalg.inv(scale * covariance_m2)
+    north_m = north_m[:, np.newaxis]
+    squares = precision[0, 0] * east_m**2 + precision[1, 1] * north_m**2
+    squares = squares + 2.0 * precision[0, 1] * east_m * north_m
+    peak = math.sqrt(np.linalg.det(precision)) / (2.0 * math.pi)
+    return np.asarray(peak * (1.0 + squares / freedom) ** (-0.5 * freedom - 1.0))
 
 
 def _range(*values: Float64Array) -> tuple[float, float]:

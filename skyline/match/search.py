@@ -141,7 +141,7 @@ class FullMatcher(SearchMethod):
     ) -> tuple[Poses, AlikePlaces]:
         """Return what is known of all places; see `SearchMethod.likely_places`."""
         if len(photos) == 1:
-            (rays, prior), = photos
+            ((rays, prior),) = photos
             fitted = self.retriever.shortlist(rays, self._shortlist, prior, report)
         else:
             fitted = self.retriever.shortlist_together(photos, self._shortlist, report)[0]
