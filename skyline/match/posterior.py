@@ -166,18 +166,21 @@ class Posterior(ShortRepr):
         cells = np.count_nonzero(self.probability >= self.least_probability(share))
         return float(cells * (self.cell_m / 1000.0) ** 2)
 
-    def share_at(self, *, easting_m: float, northing_m: float) -> float:
-        """Return the share of the probability that lies in more probable cells than a place's.
-
-        A place lies in the region of every greater share. 1 outside the map.
-        """
+    def probability_at(self, *, easting_m: float, northing_m: float) -> float:
+        """Return the probability of the cell of a place; 0 outside the map."""
         row = math.floor((self.north_m - northing_m) / self.cell_m)
         col = math.floor((easting_m - self.west_m) / self.cell_m)
         rows, cols = self.probability.shape
-        if not (0 <= row < rows and 0 <= col < cols):
-            return 1.0
-        cells = self.probability[self.probability > self.probability[row, col]]
-        return float(cells.sum(dtype=np.float64))
+        is_inside = 0 <= row < rows and 0 <= col < cols
+        return float(self.probability[row, col]) if is_inside else 0.0
+
+    def share_at(self, *, easting_m: float, northing_m: float) -> float:
+        """Return the share of the probability that lies in more probable cells than a place's.
+
+        The place lies in the regions of greater shares.
+        """
+        own = self.probability_at(easting_m=easting_m, northing_m=northing_m)
+        return float(self.probability[self.probability > own].sum(dtype=np.float64))
 
     def region(self, share: float) -> list[list[Float64Array]]:
         """Return the outline of the smallest area that holds a share of the probability.
@@ -361,15 +364,15 @@ class _Layer:
         step = max(1, int(sd_m.min() / (2.0 * self.cell_m)))
         shape = -(-rows // step), -(-cols // step)
         side_m = step * self.cell_m
-        row = np.floor((self.north_m - northing_m) / side_m).astype(np.intp)
-        col = np.floor((easting_m - self.west_m) / side_m).astype(np.intp)
-        inside = (row >= 0) & (row < shape[0]) & (col >= 0) & (col < shape[1])
+        # Poses are fitted a little outside the squares of places, too.
+        row = np.clip((self.north_m - northing_m) // side_m, 0, shape[0] - 1).astype(np.intp)
+        col = np.clip((easting_m - self.west_m) // side_m, 0, shape[1] - 1).astype(np.intp)
+        cell = np.ravel_multi_index((row, col), shape)
         level = np.rint(2.0 * np.log2(sd_m)).astype(np.intp)
         total = np.zeros(shape)
         for one in np.unique(level):
-            some = inside & (level == one)
-            cells = np.ravel_multi_index((row[some], col[some]), shape)
-            counted = np.bincount(cells, share[some], minlength=total.size).reshape(shape)
+            some = level == one
+            counted = np.bincount(cell[some], share[some], minlength=total.size).reshape(shape)
             sigma = float(2.0 ** (0.5 * one)) / side_m
             total += cv2.GaussianBlur(counted, (0, 0), sigma, borderType=cv2.BORDER_REFLECT)
         size = shape[1] * step, shape[0] * step
