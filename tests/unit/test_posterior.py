@@ -13,7 +13,7 @@ from place_scenes import AZIMUTH_DEG, curve, places_of, rays
 from scenes import FRAME, candidate_at
 
 from skyline import Frame, InputError, Narrowing
-from skyline.match.posterior import SHARES, AlikePlaces, Posterior, posterior_of
+from skyline.match.posterior import SHARES, SPREAD, AlikePlaces, Posterior, posterior_of
 from skyline.match.prior import NOTHING_KNOWN, Prior
 from skyline.match.retrieval import Retriever
 from skyline.pose import Ellipse, Poses
@@ -81,7 +81,7 @@ def test_candidates_have_the_probabilities_of_their_confidences():
 def test_without_a_candidate_places_count_by_their_likeness_and_their_size():
     places = AlikePlaces(
         np.array([0.0, 3000.0, 6000.0]), np.zeros(3), np.array([50.0, 50.0, 100.0]),
-        np.array([math.log(2.0), 0.0, 0.0]),
+        np.array([math.log(2.0) / SPREAD.score_weight, 0.0, 0.0]),
     )  # fmt: skip
     posterior = posterior_of([], NO_FITS, places, FRAME)
     # Of the area 1, 1 and 4; the first fits e^ln 2 as well.
@@ -93,8 +93,8 @@ def test_fitted_poses_share_what_no_candidate_has():
     doubtful = replace(SURE, confidence=0.2, confidence_1km=0.2)
     fitted = Poses.of(replace(SURE, easting_m=3000.0, northing_m=3000.0))
     posterior = posterior_of([doubtful], fitted, grid_of_places(), FRAME)
-    # 0.65 of the 0.8, of which 0.989 lie within 300 m, and the even part of the rest.
-    expected = 0.989 * 0.65 * 0.8 + 0.35 * 0.8 * 0.2827 / 16.0
+    # 0.6 of the 0.8, of which 0.989 lie within 300 m, and the even part of the rest.
+    expected = 0.989 * 0.6 * 0.8 + 0.4 * 0.8 * 0.2827 / 16.0
     assert within(posterior, 3000.0, 3000.0, 300.0) == pytest.approx(expected, abs=0.01)
 
 
