@@ -199,7 +199,7 @@ class Posterior(ShortRepr):
         from contourpy import FillType, contour_generator  # noqa: PLC0415  (slow to load)
 
         least = self.least_probability(share)
-        tiny = np.finfo(np.float32).tiny
+        tiny = float(np.finfo(np.float32).tiny)
         # The logarithm of a normal distribution is smooth, and well interpolated between cells. A
         # rim of empty cells closes the outlines at the map's border.
         height = np.log(np.pad(np.maximum(self.probability, tiny), 1, constant_values=tiny))
@@ -225,7 +225,7 @@ class Posterior(ShortRepr):
         kept = cv2.approxPolyDP(off[:-1, np.newaxis], 0.5 * self.cell_m, closed=True)[:, 0]
         closed = ring[0] + np.concatenate([kept, kept[:1]], dtype=np.float64)
         # Rows count southwards, so what turns left on the grid turns right on the map.
-        return closed[::-1]
+        return np.asarray(closed[::-1])
 
     def to_xarray(self) -> DataArray:
         """Return the probabilities as a DataArray (y, x), on the frame's map.
@@ -237,7 +237,7 @@ class Posterior(ShortRepr):
         """
         rows, cols = self.probability.shape
         metres = {"units": "m"}
-        return library("xarray", "a DataArray").DataArray(
+        made: DataArray = library("xarray", "a DataArray").DataArray(
             self.probability,
             {
                 "y": ("y", self.north_m - (np.arange(rows) + 0.5) * self.cell_m, metres),
@@ -246,6 +246,7 @@ class Posterior(ShortRepr):
             name="probability",
             attrs={"long_name": "probability of a cell", "crs_wkt": self.frame.wkt},
         )
+        return made
 
 
 def posterior_of(
@@ -305,7 +306,7 @@ def candidate_spots(candidates: Sequence[Pose]) -> tuple[Spots, float, float]:
     left = max(0.0, 1.0 - float(share.sum()) - roughly)
     unknown = ((SPREAD.unknown_sd_m**2, 0.0), (0.0, SPREAD.unknown_sd_m**2))
     covariance_m2 = np.array([one.covariance_m2 or unknown for one in candidates])
-    return Spots(*place.T, covariance_m2, share), roughly, left
+    return Spots(place[:, 0], place[:, 1], covariance_m2, share), roughly, left
 
 
 def _softmax(values: Float64Array) -> Float64Array:

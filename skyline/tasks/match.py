@@ -464,9 +464,8 @@ class _Run:
             def posteriors() -> Iterator[tuple[str, Posterior]]:
                 for number, result in enumerate(found):
                     progress(number, len(found))
-                    joint = isinstance(result, JointResult)
-                    name = result.results[0].name if joint else result.name
-                    yield name, matcher.posterior(result)
+                    first = result.results[0] if isinstance(result, JointResult) else result
+                    yield first.name, matcher.posterior(result)
 
             write_posteriors(self._task.probability, posteriors())
 
