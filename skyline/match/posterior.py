@@ -199,6 +199,7 @@ class Posterior(ShortRepr):
         from contourpy import FillType, contour_generator  # noqa: PLC0415  (slow to load)
 
         least = self.least_probability(share)
+        next_lower = float(self.probability[self.probability < least].max(initial=0.0))
         tiny = float(np.finfo(np.float32).tiny)
         # The logarithm of a normal distribution is smooth, and well interpolated between cells. A
         # rim of empty cells closes the outlines at the map's border.
@@ -209,7 +210,7 @@ class Posterior(ShortRepr):
             y=self.north_m - (np.arange(rows) - 0.5) * self.cell_m,
             z=height,
             fill_type=FillType.OuterOffset,
-        ).filled(math.log(max(least, 2.0 * tiny)), np.inf)
+        ).filled(0.5 * math.log(max(least, tiny)) + 0.5 * math.log(max(next_lower, tiny)), np.inf)
         polygons = (
             [self._simplified(points[begin:end]) for begin, end in pairwise(ends)]
             for points, ends in zip(*found, strict=True)
@@ -219,10 +220,10 @@ class Posterior(ShortRepr):
         ]
 
     def _simplified(self, ring: Float64Array) -> Float64Array:
-        """Return a closed outline with fewer points, moved by half a cell at most."""
+        """Return a closed outline with fewer points, moved by a quarter of a cell at most."""
         # Single precision has no room for eastings of a whole country.
         off = (ring - ring[0]).astype(np.float32)
-        kept = cv2.approxPolyDP(off[:-1, np.newaxis], 0.5 * self.cell_m, closed=True)[:, 0]
+        kept = cv2.approxPolyDP(off[:-1, np.newaxis], 0.25 * self.cell_m, closed=True)[:, 0]
         closed = ring[0] + np.concatenate([kept, kept[:1]], dtype=np.float64)
         # Rows count southwards, so what turns left on the grid turns right on the map.
         return np.asarray(closed[::-1])

@@ -100,7 +100,7 @@ def test_fitted_poses_share_what_no_candidate_has():
 
 def test_greater_shares_have_greater_regions():
     doubtful = replace(SURE, confidence=0.4, confidence_1km=0.5)
-    places = grid_of_places()
+    places = grid_of_places(2000.0)
     places = replace(places, score=-places.easting_m / 1000.0)
     posterior = posterior_of([doubtful], NO_FITS, places, FRAME)
     least = [posterior.least_probability(share) for share in SHARES]
@@ -111,7 +111,7 @@ def test_greater_shares_have_greater_regions():
         outlines = sum(area_m2(ring) for rings in posterior.region(share) for ring in rings)
         assert outlines / 1e6 == pytest.approx(posterior.area_km2(share), rel=0.05)
     assert posterior.share_at(easting_m=1000.0, northing_m=900.0) < 0.05
-    assert 0.9 < posterior.share_at(easting_m=3950.0, northing_m=3950.0) <= 1.0
+    assert 0.9 < posterior.share_at(easting_m=1950.0, northing_m=1950.0) <= 1.0
     off = {"easting_m": -5000.0, "northing_m": 0.0}
     assert posterior.probability_at(**off) == 0.0
     assert posterior.share_at(**off) == pytest.approx(1.0)
@@ -123,6 +123,14 @@ def test_outlines_turn_left_and_holes_turn_right():
     posterior = Posterior((ring / ring.sum()).astype(np.float32), 5e5, 5e6, 10.0, FRAME)
     ((outline, hole),) = posterior.region(0.8)
     assert area_m2(outline) > -area_m2(hole) > 0.0
+
+
+def test_a_single_cell_has_an_outline():
+    cells = np.full((9, 9), 1e-3, dtype=np.float32)
+    cells[4, 4] = 1.0 - 80e-3
+    ((outline,),) = Posterior(cells, 0.0, 900.0, 100.0, FRAME).region(0.5)
+    np.testing.assert_allclose(outline[:-1].mean(axis=0), [450.0, 450.0])
+    assert 0.0 < area_m2(outline) < 100.0**2
 
 
 @pytest.mark.parametrize("share", [0.0, 1.0, -0.5])
