@@ -23,6 +23,7 @@ from skyline.cli.photo_options import (
     Heading,
     HeadingSlack,
     Near,
+    ProbabilityMap,
     ReportPeaks,
     SamePlace,
     SearchBounds,
@@ -36,7 +37,6 @@ from skyline.cli.terminal import Terminal
 from skyline.errors import InputError
 from skyline.files import STANDARD
 from skyline.match.matcher import FULL
-from skyline.report.posterior_files import POSTERIOR_FILES
 from skyline.report.results_file import RESULTS
 from skyline.tasks.match import (
     UNREFINED,
@@ -88,15 +88,7 @@ def match(
     ] = FULL,
     surface: SurfaceFiles = None,
     export: Export = None,
-    probability: Annotated[
-        list[Path] | None,
-        files_to_write(
-            metavar="FILE",
-            help="Write how probable each place of the searched area is, with an answer or without "
-            f"({', '.join(POSTERIOR_FILES)}): a GeoTIFF, or outlines of 50, 80 and 95 %; may be "
-            "repeated.",
-        ),
-    ] = None,
+    probability: ProbabilityMap = None,
     peaks: ReportPeaks = None,
     results: Annotated[
         Path | None,
