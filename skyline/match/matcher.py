@@ -308,7 +308,8 @@ class Matcher(Closeable):
         photos, candidates = _searched(result)
         known = [self._rays_and_prior(skyline, narrowing) for skyline, narrowing in photos]
         fitted, places = self._method.likely_places(known, report_progress)
-        return posterior_of(candidates, fitted, places, self.frame)
+        noted = next((prior.noted for _, prior in known if prior.noted is not None), None)
+        return posterior_of(candidates, fitted, places, self.frame, noted)
 
     def _read(
         self,

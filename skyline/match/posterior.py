@@ -33,7 +33,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -43,6 +43,7 @@ import numpy as np
 from skyline.arrays import Float32Array, Float64Array, Rows, ShortRepr
 from skyline.errors import InputError, library
 from skyline.geodesy.map_frame import Frame
+from skyline.match.prior import PlacePrior
 from skyline.pose import RIGHT_WITHIN_M, ROUGHLY_WITHIN_M, Pose, Poses
 
 if TYPE_CHECKING:
@@ -251,7 +252,11 @@ class Posterior(ShortRepr):
 
 
 def posterior_of(
-    candidates: Sequence[Pose], fitted: Poses, places: AlikePlaces, frame: Frame
+    candidates: Sequence[Pose],
+    fitted: Poses,
+    places: AlikePlaces,
+    frame: Frame,
+    noted: PlacePrior | None = None,
 ) -> Posterior:
     """Return the posterior of a photo.
 
@@ -265,6 +270,8 @@ def posterior_of(
         The places that were searched, one or more.
     frame : Frame
         The frame of all of them.
+    noted : PlacePrior, optional
+        The place that the photo notes. Candidates' confidences know it already.
     """
     spots, roughly, left = candidate_spots(candidates)
     layer = _Layer.around(places, spots)
@@ -276,10 +283,12 @@ def posterior_of(
         layer.add_round(best.easting_m, best.northing_m, wide_m, np.array([roughly]))
     by_fits = SPREAD.fitted_share * left if len(fitted) else 0.0
     if by_fits:
-        share = by_fits * _softmax(-fitted.cost / SPREAD.temperature)
+        gain = _log_prior(fitted, noted) - fitted.cost / SPREAD.temperature
+        share = by_fits * _softmax(gain)
         sd_m = np.full(len(fitted), SPREAD.around_m)
         layer.add_round(fitted.easting_m, fitted.northing_m, sd_m, share)
-    weight = _softmax(2.0 * np.log(places.half_m) + SPREAD.score_weight * places.score)
+    gain = _log_prior(places, noted) + SPREAD.score_weight * places.score
+    weight = _softmax(gain + 2.0 * np.log(places.half_m))
     sd_m = np.hypot(SPREAD.around_m, places.half_m)
     layer.add_round(places.easting_m, places.northing_m, sd_m, (left - by_fits) * weight)
     probability = layer.probability / layer.probability.sum()
@@ -308,6 +317,15 @@ def candidate_spots(candidates: Sequence[Pose]) -> tuple[Spots, float, float]:
     unknown = ((SPREAD.unknown_sd_m**2, 0.0), (0.0, SPREAD.unknown_sd_m**2))
     covariance_m2 = np.array([one.covariance_m2 or unknown for one in candidates])
     return Spots(place[:, 0], place[:, 1], covariance_m2, share), roughly, left
+
+
+def _log_prior(at: Poses | AlikePlaces, noted: PlacePrior | None) -> Float64Array:
+    """Return the log density (N,) of places, up to a constant, by the place that a photo notes."""
+    none = np.zeros(len(at))
+    if noted is None:
+        return none
+    place = replace(noted, grid_heading_deg=None, elevation_m=None)
+    return -place.cost(at.easting_m + 1j * at.northing_m, none, none)
 
 
 def _softmax(values: Float64Array) -> Float64Array:

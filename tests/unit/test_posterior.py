@@ -14,7 +14,7 @@ from scenes import FRAME, candidate_at
 
 from skyline import Frame, InputError, Narrowing
 from skyline.match.posterior import SHARES, SPREAD, AlikePlaces, Posterior, posterior_of
-from skyline.match.prior import NOTHING_KNOWN, Prior
+from skyline.match.prior import NOTHING_KNOWN, PlacePrior, Prior
 from skyline.match.retrieval import Retriever
 from skyline.pose import Ellipse, Poses
 from skyline.report.posterior_files import write_posteriors
@@ -96,6 +96,13 @@ def test_fitted_poses_share_what_no_candidate_has():
     # 0.6 of the 0.8, of which 0.989 lie within 300 m, and the even part of the rest.
     expected = 0.989 * 0.6 * 0.8 + 0.4 * 0.8 * 0.2827 / 16.0
     assert within(posterior, 3000.0, 3000.0, 300.0) == pytest.approx(expected, abs=0.01)
+
+
+def test_places_near_the_one_that_a_photo_notes_are_preferred():
+    noted = PlacePrior(3000.0, 1000.0, 30.0)
+    posterior = posterior_of([], NO_FITS, grid_of_places(), FRAME, noted)
+    # Its error exceeds 600 m in 5 % of photos, and in 5 % it is the place of another photo.
+    assert within(posterior, 3000.0, 1000.0, 600.0) > 0.9
 
 
 def test_greater_shares_have_greater_regions():
