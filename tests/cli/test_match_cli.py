@@ -336,6 +336,7 @@ def test_posteriors_that_cannot_be_written_are_refused(run, store, photo, option
     assert_refused(run("match", store, photo, photo, "--fov-deg", "60", *options), message)
 
 
+@pytest.mark.slow
 def test_photos_of_one_place_have_one_posterior(run, store, photo, tmp_path):
     maps = tmp_path / "map.tif", tmp_path / "map.json"
     asked = [part for one in maps for part in ("--probability", one)]
