@@ -26,8 +26,8 @@ i, by their scores z in screening and the areas a that they represent:
     p_q(x) = f \sum_k \frac{e^{-C_k / T}}{\sum e^{-C / T}} N(x; x_k, t^2) +
     (1 - f) \sum_i \frac{a_i e^{b z_i}}{\sum a\, e^{b z}} N(x; x_i, t^2 + a_i / 4)
 
-The settings of `Spread` are learned. Where a photo notes its place, both sums are weighted by the density
-of `skyline.match.prior` besides.
+The settings of `Spread` are learned. Where a photo notes its place, both sums are weighted by the
+density of `skyline.match.prior` besides.
 """
 
 from __future__ import annotations

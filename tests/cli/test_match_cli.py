@@ -15,6 +15,7 @@ import rasterio
 from commands import assert_refused, csv_of, lonlat_of, off_m
 from scenes import write_dem
 
+from skyline import InputError, MatchResult, PhotoSkyline
 from skyline.errors import ContextError
 from skyline.geodesy.map_frame import Frame
 from skyline.match.matcher import Matcher
@@ -334,6 +335,12 @@ def test_the_posterior_is_mapped(run, store, dem, photo, tmp_path, aside):
 )
 def test_posteriors_that_cannot_be_written_are_refused(run, store, photo, options, message):
     assert_refused(run("match", store, photo, photo, "--fov-deg", "60", *options), message)
+
+
+def test_a_posterior_is_of_a_search(store):
+    fitted = MatchResult(PhotoSkyline(np.full(40, 10.0), np.ones(40), 40, 30), (), 1.0)
+    with Matcher(store) as matcher, pytest.raises(InputError, match="the result of `match`"):
+        matcher.posterior(fitted)
 
 
 @pytest.mark.slow
