@@ -18,7 +18,7 @@ from scipy.optimize import minimize
 from skyline import MatchConfig
 from skyline.arrays import BoolArray, Float64Array
 from skyline.errors import InputError
-from skyline.match.confidence import FITTED, Logistic, model_name
+from skyline.match.confidence import Logistic, model_name
 from skyline.pose import DISTANCES_M
 from skyline_bench.measuring import Row
 from skyline_training.examples import HELD_OUT, LEARNED, STAGES, STRANGE, Example, Examples
@@ -26,21 +26,30 @@ from skyline_training.examples import HELD_OUT, LEARNED, STAGES, STRANGE, Exampl
 Reliability = tuple[str, Float64Array, BoolArray]
 """A label, probabilities (N,), and whether the answers were right (N,)."""
 
-_RIDGE = 1e-2
-"""With products, terrain left out is as likely with ridges of 5e-3 to 2e-2, and less likely with
-smaller ones. A larger ridge draws all probabilities to the middle."""
+_RIDGE = 1e-3
+"""Examples of terrain left out, and of kinds left out, are as likely with ridges of 3e-4 to 3e-3. A
+larger ridge draws all probabilities to the middle."""
+_BETTER_HIGH = {
+    "inlier_share", "log_columns", "log_odds", "log_far_margin", "margin", "log_margin",
+    "retrieved_log_margin", "retrieved_log_far_margin",
+}  # fmt: skip
+_BETTER_LOW = {
+    "cost", "log_residual", "log_position_sd", "log_height_sd", "log_heading_sd", "log_moved",
+    "lens_deviations", "roll_deg", "warp_deviations",
+}  # fmt: skip
+"""Figures that make a pose no less likely to be right the higher, or the lower, they are. Of the
+others, which describe the photo, either may be."""
 _STRANGERS_WEIGHT = 0.5
-"""Weight of strangers in models of searches. A fifth of the examples are strangers, so that there
+"""Weight of strangers. A fifth of the examples are strangers, so that there
 are enough to learn from; among real photos they are rarer."""
 _BINS = 10
 
 
-def learn(examples: Sequence[Example], within_m: float, *, has_products: bool = True) -> Logistic:
+def learn(examples: Sequence[Example], within_m: float) -> Logistic:
     """Return the logistic model that most likely gave the examples.
 
-    An example is right if its error is at most ``within_m``. A model without products is of the
-    figures alone, and counts strangers in full. Raises `InputError` for examples that are all
-    right, or all wrong.
+    An example is right if its error is at most ``within_m``. Raises `InputError` for examples that
+    are all right, or all wrong.
     """
     right = np.array([example.error <= within_m for example in examples])
     if not right.any() or right.all():
@@ -52,26 +61,36 @@ def learn(examples: Sequence[Example], within_m: float, *, has_products: bool = 
     figures = _figures(names, examples)
     mean = [float(figures[name].mean()) for name in names]
     scale = [max(float(figures[name].std()), 1e-9) for name in names]
-    terms = Logistic(names, mean, scale, (), 0.0).terms(figures)
-    if not has_products:
-        terms = terms[:, : len(names)]
-    middle, spread = terms.mean(axis=0), np.maximum(terms.std(axis=0), 1e-9)
-    unit, sign = (terms - middle) / spread, np.where(right, 1.0, -1.0)
-    is_light = np.array([has_products and one.kind == STRANGE for one in examples])
-    weight = np.where(is_light, _STRANGERS_WEIGHT, 1.0)
+    parts = Logistic(names, mean, scale, (), 0.0).segments(figures)
+    _, count, segments = parts.shape
+    terms, sign = parts.reshape(len(examples), -1), np.where(right, 1.0, -1.0)
+    weight = np.where([one.kind == STRANGE for one in examples], _STRANGERS_WEIGHT, 1.0)
     weight /= weight.sum()
 
     def loss_of(parameters: Float64Array) -> tuple[float, Float64Array]:
-        logit = sign * (unit @ parameters[:-1] + parameters[-1])
+        logit = sign * (terms @ parameters[:-1] + parameters[-1])
         pull = -sign * weight / (1.0 + np.exp(logit))
         ridge = _RIDGE * parameters[:-1]
-        gradient = np.append(unit.T @ pull + ridge, pull.sum())
+        gradient = np.append(terms.T @ pull + ridge, pull.sum())
         loss = weight @ np.logaddexp(0.0, -logit) + 0.5 * ridge @ parameters[:-1]
         return float(loss), gradient
 
-    best = minimize(loss_of, np.zeros(unit.shape[1] + 1), jac=True, method="L-BFGS-B").x
-    slope = best[:-1] / spread
-    return Logistic(names, mean, scale, slope.tolist(), float(best[-1] - slope @ middle))
+    limits = [_limits_of_slope(name) for name in names for _ in range(segments)]
+    best = minimize(
+        loss_of,
+        np.zeros(terms.shape[1] + 1),
+        jac=True,
+        method="L-BFGS-B",
+        bounds=[*limits, (None, None)],
+    ).x
+    return Logistic(
+        names, mean, scale, best[:-1].reshape(count, segments).tolist(), float(best[-1])
+    )
+
+
+def _limits_of_slope(name: str) -> tuple[float | None, float | None]:
+    """Return the least and the greatest slope of a figure, None where there is no limit."""
+    return 0.0 if name in _BETTER_HIGH else None, 0.0 if name in _BETTER_LOW else None
 
 
 def probabilities(model: Logistic, examples: Sequence[Example]) -> Float64Array:
@@ -129,7 +148,7 @@ def learn_all(examples: Examples) -> Learned:
     shown: list[Reliability] = []
     for stage, within_m in product(STAGES, DISTANCES_M):
         model = model_name(stage, within_m)
-        models[model] = learn(learned_from[stage], within_m, has_products=stage != FITTED)
+        models[model] = learn(learned_from[stage], within_m)
         rows.append(_left_out(model, examples, stage, within_m))
         for name, one in examples.items():
             sure = probabilities(models[model], one[stage])
@@ -156,7 +175,7 @@ def _left_out(model: str, examples: Examples, stage: str, within_m: float) -> Ro
     sure, right, turn_deg = [], [], []
     for name, some in examples.items():
         others = [one for other in examples if other != name for one in examples[other][stage]]
-        learned = learn(others, within_m, has_products=stage != FITTED)
+        learned = learn(others, within_m)
         sure.append(probabilities(learned, some[stage]))
         right += [example.error <= within_m for example in some[stage]]
         turn_deg += [example.turn_deg for example in some[stage]]

@@ -127,9 +127,7 @@ def learn_orientation(
     examples: dict[str, list[Example]],
 ) -> tuple[Logistic, list[Row]]:
     """Learn the model, and hold it to every terrain."""
-    model = learn(
-        [one for name in LEARNED for one in examples[name]], RIGHT_DEG, has_products=False
-    )
+    model = learn([one for name in LEARNED for one in examples[name]], RIGHT_DEG)
     rows = [
         rated(
             ORIENTED,

@@ -3,18 +3,18 @@ r"""Confidence: the probability that a pose is right.
 A pose is right if it lies within 200 m of the truth, or roughly right within 1 km, and looks the
 same way, within 30 degrees.
 
-It is a logistic model of figures that a match gives and of their products, learned from synthetic
-queries on terrain for which no result is reported (``python -m skyline_training confidence``, which
-also draws the reliability diagram):
+It is a logistic model of figures that a match gives, learned from synthetic queries on terrain for
+which no result is reported (``python -m skyline_training confidence``, which also draws the
+reliability diagram):
 
 .. math::
 
-    P = \frac{1}{1 + \exp(-(b + \sum_f w_f u_f + \sum_{f \le g} w_{fg} u_f u_g))}, \quad
-    u_f = (x_f - m_f) / s_f
+    P = \frac{1}{1 + \exp(-(b + \sum_f h_f(u_f)))}, \quad u_f = (x_f - m_f) / s_f
 
-Such a form has the odds between two normal distributions of the figures, of right poses and of
-wrong ones, each with its own covariance. The :math:`u_f` are held within 4. Models of fits without
-a search and of headings have no products.
+Each :math:`h_f` is a line with a bend at the mean and at a standard deviation to both sides, and
+:math:`u_f` is held within 4. Where it is known which way a figure is better, :math:`h_f` never
+turns: no match is less sure because it fits better. Products of figures were tried, and mislead on
+kinds of queries that were not learned from.
 
 The figures describe how well the best pose fits, its margin over all other answers, how unusual its
 camera is, and how much skyline there was to fit: a fit to too little of a skyline is never trusted.
@@ -41,13 +41,14 @@ from skyline.pose import (
 )
 
 FITTED = "fitted"
-"""Stage of poses that were fitted without a search. Its models, of `pose_figures` alone and without
-products, are learned from the best poses of searches. A pose set by hand can be unlike all of
-these, where products mislead: a residual of 1.4 degrees would be trusted."""
+"""Stage of poses that were fitted without a search. Its models have only `pose_figures`, and are
+learned from the best poses of searches."""
 ORIENTED = "oriented, 1 degree"
 """Name of the model of headings at a known place, in ``orientation.json``."""
 
 
+BENDS = (-1.0, 0.0, 1.0)
+"""Where the lines of `Logistic` bend, in standard deviations from a figure's mean."""
 _MAY_LACK = frozenset({"warp_deviations"})
 """Figures that poses may lack: a lens whose distortion is not fitted has no warp."""
 
@@ -60,8 +61,7 @@ class _FigureLimits:
     """
 
     deviations: float = 4.0
-    """Greatest distance of a figure from its mean, in standard deviations: a product of two figures
-    grows with the square."""
+    """Greatest distance of a figure from its mean, in standard deviations."""
     min_margin: float = 1e-3
     """Smaller margins count as this before their logarithm is taken."""
     max_margin: float = 60.0
@@ -87,22 +87,22 @@ _LIMITS = _FigureLimits()
 
 @dataclass(frozen=True, slots=True)
 class Logistic:
-    """A logistic model of F figures and their products."""
+    """A logistic model of F figures."""
 
     names: Sequence[str]
     mean: Sequence[float]
     scale: Sequence[float]
     """``names``, ``mean``, ``scale``: F each."""
-    weight: Sequence[float]
-    """In the order of `terms`; F alone for a model without products."""
+    slope: Sequence[Sequence[float]]
+    """F of S each. Log odds for each standard deviation, between the `BENDS`."""
     bias: float
 
-    def terms(self, figures: Mapping[str, Float64Array]) -> Float64Array:
-        """Return the model's terms of figures (M,) by name.
+    def segments(self, figures: Mapping[str, Float64Array]) -> Float64Array:
+        """Return how far figures (M,) by name lie in each segment of their lines, (M, F, S).
 
-        They are (M, F (F + 3) / 2): the figures, then their products. Figures are in standard
-        deviations from their means. One of `_MAY_LACK` that is missing counts as its mean. Raises
-        `ValueError` for any other that is missing, which the caller may name otherwise.
+        The parts are in standard deviations from the mean, and add up to the whole. A figure of
+        `_MAY_LACK` that is missing counts as its mean. Raises `ValueError` for any other that is
+        missing, which the caller may name otherwise.
         """
         missing = [name for name in self.names if name not in figures and name not in _MAY_LACK]
         if missing:
@@ -113,13 +113,14 @@ class Logistic:
             zip(self.names, self.mean, self.scale, strict=True)
         ):
             unit[:, column] = (figures.get(name, mean) - mean) / scale
-        unit = np.clip(unit, -_LIMITS.deviations, _LIMITS.deviations)
-        first, second = np.triu_indices(len(self.names))
-        return np.hstack([unit, unit[:, first] * unit[:, second]])
+        ends = np.array([-_LIMITS.deviations, *BENDS, _LIMITS.deviations])
+        held = np.clip(unit[:, :, np.newaxis], ends[:-1], ends[1:])
+        return np.asarray(held - np.clip(0.0, ends[:-1], ends[1:]))
 
     def probability(self, figures: Mapping[str, Float64Array]) -> Float64Array:
-        """Return probabilities (M,) from figures (M,) by name; see `terms`."""
-        logit = self.bias + self.terms(figures)[:, : len(self.weight)] @ np.array(self.weight)
+        """Return probabilities (M,) from figures (M,) by name; see `segments`."""
+        slope = np.reshape(self.slope, (len(self.names), len(BENDS) + 1))
+        logit = self.bias + np.einsum("mfs,fs->m", self.segments(figures), slope)
         return np.asarray(1.0 / (1.0 + np.exp(-np.clip(logit, -50.0, 50.0))))
 
 

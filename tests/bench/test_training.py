@@ -4,6 +4,7 @@ import gzip
 import importlib
 import json
 import sys
+from dataclasses import replace
 from functools import partial
 
 import cv2
@@ -151,9 +152,9 @@ def examples(count: int, seed: int) -> list[Example]:
 
 def test_a_learned_probability_is_a_frequency(tmp_path) -> None:
     model = training.learn(examples(4000, seed=2), NEAR_M)
-    weight = np.array(model.weight)
-    assert weight[0] / model.scale[0] == pytest.approx(2.0, abs=0.35)
-    np.testing.assert_allclose(weight[1:], 0.0, atol=0.15)
+    of_a, of_b = np.array(model.slope) / np.array(model.scale)[:, np.newaxis]
+    np.testing.assert_allclose(of_a[1:3], 2.0, atol=0.35)
+    np.testing.assert_allclose(of_b[1:3], 0.0, atol=0.35)
     others = examples(4000, seed=3)
     sure = training.probabilities(model, others)
     right = np.array([one.error <= NEAR_M for one in others])
@@ -161,6 +162,18 @@ def test_a_learned_probability_is_a_frequency(tmp_path) -> None:
     assert training.calibration_error(np.minimum(sure + 0.3, 1.0), right) > 0.15
     training.save_reliability(tmp_path / "reliability.png", [("made", sure, right)])
     assert (tmp_path / "reliability.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_no_model_is_less_sure_of_a_better_fit() -> None:
+    """Chance may have it so in the examples: here, the worse the fit, the likelier."""
+    some = [
+        replace(one, figures={"log_residual": one.figures["a"]}) for one in examples(300, seed=5)
+    ]
+    model = training.learn(some, NEAR_M)
+    assert model.slope == [[0.0] * 4]
+    assert model.probability({"log_residual": np.zeros(1)})[0] == pytest.approx(
+        np.mean([one.error <= NEAR_M for one in some]), abs=1e-3
+    )
 
 
 def test_models_are_written_as_they_are_read(tmp_path, monkeypatch) -> None:

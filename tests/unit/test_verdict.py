@@ -158,16 +158,16 @@ def test_a_fit_of_another_answer_is_none_of_the_candidates(fitted_m, cost, headi
 
 
 def test_a_fit_fails_where_few_such_fits_are_right_or_the_answer_fits_better():
-    def said(answer=None, sure=0.76, cost=-900.0, heading_deg=90.0):
+    def said(answer=None, sure=0.71, cost=-900.0, heading_deg=90.0):
         fitted = candidate(2400.0, cost, heading_deg, rank=None, sure=sure)
         fitted = replace(fitted, residual_deg=0.1, terrain_share=0.5)
         return Verdict.of_fit(fitted, answer, MatchConfig()).refusal
 
     apart = "the skylines are 0.10 degrees apart (rms) over 50 % of the skyline; "
-    few = apart + "of poses that fit like this 74 % are right, and 75 % are needed"
+    few = apart + "of poses that fit like this 69 % are right, and 70 % are needed"
     assert said() is said(FOUND[0], cost=-1001.0) is None
-    assert said(sure=0.74) == said(FOUND[0], 0.74, -1001.0) == few
+    assert said(sure=0.69) == said(FOUND[0], 0.69, -1001.0) == few
     # No share is named beside the confidence of a better candidate.
-    assert said(FOUND[0]) == said(FOUND[0], 0.74) == apart + "candidate 1, 2400 m away, fits better"
+    assert said(FOUND[0]) == said(FOUND[0], 0.69) == apart + "candidate 1, 2400 m away, fits better"
     turned = said(FOUND[0], heading_deg=260.0)
     assert turned == apart + "candidate 1, 2400 m and 170 degrees of heading away, fits better"
