@@ -297,7 +297,7 @@ SEARCHES: Mapping[str, Search] = {
         The gain is how much more probable the true cell is than if all cells were alike, as the
         mean of its binary logarithm. Queries without any skyline have no posterior.""",
         "20 minutes",
-        "queries km2 n posteriors in_50 in_80 in_95 gain_bits within_200m answered query_s",
+        "store queries km2 n posteriors in_50 in_80 in_95 gain_bits within_200m answered",
         kinds=("plain", kinds.OTHER_DEM, "occluded", "bent"),
         queries=75,
         with_posteriors=True,
