@@ -58,21 +58,21 @@ SHARES = (0.5, 0.8, 0.95)
 class Spread:
     """How widely probability is spread around what a search has found.
 
-    The settings are the likeliest ones for 35 searches in the Sierra and the Rofental, of which 23
-    were unsure (their record is not kept). The likelihood has a flat maximum.
+    The settings are about the likeliest ones for 35 searches in the Sierra and the Rofental, of
+    which 23 were unsure (their record is not kept). The likelihood has a flat maximum.
     """
 
     freedom: float = 3.0
     """n, the degrees of freedom of candidates' errors."""
     roughly_sd_m: float = 400.0
     """S: most of such a distribution lies between 200 m and 1 km from its middle."""
-    fitted_share: float = 0.6
+    fitted_share: float = 0.5
     """f, the share of fitted poses in the probability that no candidate is right."""
-    temperature: float = 0.25
+    temperature: float = 0.2
     """T, by which the costs of fitted poses are divided."""
-    around_m: float = 100.0
+    around_m: float = 60.0
     """t, the deviation around fitted poses and places, beside half a place's square."""
-    score_weight: float = 3.0
+    score_weight: float = 8.0
     """b, the gain of log probability with the score of a place."""
     reach_sds: float = 10.0
     """Deviations of a candidate beyond which nothing is drawn."""

@@ -93,8 +93,8 @@ def test_fitted_poses_share_what_no_candidate_has():
     doubtful = replace(SURE, confidence=0.2, confidence_1km=0.2)
     fitted = Poses.of(replace(SURE, easting_m=3000.0, northing_m=3000.0))
     posterior = posterior_of([doubtful], fitted, grid_of_places(), FRAME)
-    # 0.6 of the 0.8, of which 0.989 lie within 300 m, and the even part of the rest.
-    expected = 0.989 * 0.6 * 0.8 + 0.4 * 0.8 * 0.2827 / 16.0
+    # Half of the 0.8 lies around it, and of the other half as much as of the area.
+    expected = 0.5 * 0.8 * (1.0 + 0.2827 / 16.0)
     assert within(posterior, 3000.0, 3000.0, 300.0) == pytest.approx(expected, abs=0.01)
 
 
