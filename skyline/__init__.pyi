@@ -22,6 +22,7 @@ from .horizons import horizon as horizon
 from .location import locate as locate
 from .match.config import MatchConfig as MatchConfig
 from .match.matcher import Matcher as Matcher
+from .match.posterior import Posterior as Posterior
 from .match.prior import Narrowing as Narrowing
 from .match.result import JointResult as JointResult
 from .match.result import MatchResult as MatchResult
@@ -57,6 +58,7 @@ from .report.match_page import report_matches as report_matches
 from .report.overlay import draw_labels as draw_labels
 from .report.panorama import save_panorama as save_panorama
 from .report.panorama_view import PanoramaConfig as PanoramaConfig
+from .report.posterior_files import write_posteriors as write_posteriors
 from .sky_view import sky_view_factor as sky_view_factor
 from .skylines import Views as Views
 from .store.layout import StoreHeader as StoreHeader

@@ -16,6 +16,7 @@ from skyline.cli.photo_options import (
     Heading,
     HeadingSlack,
     Near,
+    ProbabilityMap,
     ReportPeaks,
     SamePlace,
     SearchBounds,
@@ -63,6 +64,7 @@ def locate(
     same_place: SamePlace = False,
     use_gps: UseGps = False,
     export: Export = None,
+    probability: ProbabilityMap = None,
     peaks: ReportPeaks = None,
 ) -> None:
     """Find where photos were taken, fetching the elevation of the area.
@@ -90,5 +92,6 @@ def locate(
         report=report,
         peaks=peaks,
         exports=export or (),
+        probability=probability or (),
     )
     raise typer.Exit(locate_photos(task, Terminal.of(context, as_json)))

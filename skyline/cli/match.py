@@ -23,6 +23,7 @@ from skyline.cli.photo_options import (
     Heading,
     HeadingSlack,
     Near,
+    ProbabilityMap,
     ReportPeaks,
     SamePlace,
     SearchBounds,
@@ -87,6 +88,7 @@ def match(
     ] = FULL,
     surface: SurfaceFiles = None,
     export: Export = None,
+    probability: ProbabilityMap = None,
     peaks: ReportPeaks = None,
     results: Annotated[
         Path | None,
@@ -130,6 +132,7 @@ def match(
         report=report,
         peaks=peaks,
         exports=export or (),
+        probability=probability or (),
         results=results,
     )
     raise typer.Exit(match_photos(task, Terminal.of(context, as_json)))

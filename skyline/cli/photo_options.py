@@ -17,6 +17,7 @@ from skyline.errors import InputError, numbers_in
 from skyline.match.prior import NOTED_KM, Narrowing
 from skyline.peaks import find_place
 from skyline.report.exports import EXPORTS
+from skyline.report.posterior_files import POSTERIOR_FILES
 
 _known = panel("The photos")
 
@@ -114,6 +115,16 @@ Export = Annotated[
         "--export",
         metavar="FILE",
         help=f"Write the candidates ({', '.join(EXPORTS)}); may be repeated.",
+    ),
+]
+ProbabilityMap = Annotated[
+    list[Path] | None,
+    files_to_write(
+        "--probability",
+        metavar="FILE",
+        help="Write how probable each place of the searched area is, with an answer or without "
+        f"({', '.join(POSTERIOR_FILES)}): a GeoTIFF, or outlines of 50, 80 and 95 %; may be "
+        "repeated.",
     ),
 ]
 ReportPeaks = Annotated[

@@ -19,6 +19,7 @@ from skyline.geodesy.map_frame import Frame
 from skyline.match.config import MatchConfig
 from skyline.match.contours import weighed_by_contours
 from skyline.match.method import MATCHERS, SearchMethod
+from skyline.match.posterior import Posterior, posterior_of
 from skyline.match.prior import NOTHING_KNOWN, Narrowing, PlacePrior, Prior
 from skyline.match.rays import Rays
 from skyline.match.refine import VIEW_WIDTH
@@ -281,7 +282,36 @@ class Matcher(Closeable):
             else MatchResult(photo.skyline, (), seconds, photo.refusal or apart, name=photo.name)
             for number, photo in enumerate(read)
         )
-        return JointResult(results, seconds, verdict.refusal)
+        known = tuple(narrowing or Narrowing() for narrowing in narrowings or [None] * len(read))
+        return JointResult(results, seconds, verdict.refusal, known)
+
+    def posterior(
+        self, result: MatchResult | JointResult, report_progress: ReportProgress = silent
+    ) -> Posterior:
+        """Return how probable it is that a photo was taken at each place of the searched area.
+
+        There is a posterior with an answer or without one. The photo's skyline is compared with the
+        whole store once more.
+
+        Parameters
+        ----------
+        result : MatchResult or JointResult
+            What `match` returned for the photo, or `match_together` for photos of one place.
+        report_progress : callable, optional
+            See `match`.
+
+        Raises
+        ------
+        InputError
+            The matcher is not the full one, or the result is not from a search.
+        StoreError
+            See `match`.
+        """
+        photos, candidates = _searched(result)
+        known = [self._rays_and_prior(skyline, narrowing) for skyline, narrowing in photos]
+        fitted, places = self._method.likely_places(known, report_progress)
+        noted = next((prior.noted for _, prior in known if prior.noted is not None), None)
+        return posterior_of(candidates, fitted, places, self.frame, noted)
 
     def _read(
         self,
@@ -422,6 +452,26 @@ class _Photo:
     """Why it cannot be matched; None if it can."""
     known: tuple[Rays, Prior] | None
     """Its rays and what is known of its pose; None if it cannot be matched."""
+
+
+def _searched(
+    result: MatchResult | JointResult,
+) -> tuple[list[tuple[PhotoSkyline, Narrowing]], Sequence[Pose]]:
+    """Return the skylines and narrowings of a search, and its candidates.
+
+    Of photos of one place, those that agree are returned, or all if none does. Raises `InputError`
+    for a result that is not from a search.
+    """
+    if isinstance(result, MatchResult):
+        if result.narrowing is None:
+            raise InputError("a posterior takes the result of `match` or of `match_together`")
+        return [(result.skyline, result.narrowing)], result.candidates
+    photos = [
+        (one.skyline, narrowing)
+        for one, narrowing in zip(result.results, result.narrowings, strict=True)
+    ]
+    agreeing = [photo for photo, agrees in zip(photos, result.agrees, strict=True) if agrees]
+    return agreeing or photos, result.places
 
 
 def _without_search(pose: Pose, refusal: str | None) -> Pose:

@@ -7,6 +7,7 @@ from typing import ClassVar, Self
 from skyline.arrays import BoolArray
 from skyline.errors import InputError
 from skyline.match.other_projection import OtherProjection
+from skyline.match.posterior import AlikePlaces
 from skyline.match.prior import Prior
 from skyline.match.rays import Rays
 from skyline.match.screen import ReportProgress, silent
@@ -90,6 +91,16 @@ class SearchMethod(ABC):
         was likely taken at another place.
         """
         raise InputError(BY_RENDERING)
+
+    def likely_places(
+        self, photos: Sequence[tuple[Rays, Prior]], report: ReportProgress = silent
+    ) -> tuple[Poses, AlikePlaces]:
+        """Return what is known of all places, for photos of one eye.
+
+        The poses fit the photos without rendering; the places are all that are searched. Raises
+        `InputError` where the search is narrowed to no place.
+        """
+        raise InputError("this matcher knows no probabilities; use the full one")
 
     def fitted(self, rays: Rays, start: Pose, prior: Prior, about_start: Rays) -> Poses:
         """Return a pose refined from a start.

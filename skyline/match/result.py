@@ -321,11 +321,14 @@ class JointResult:
         From the photos to the places.
     refusal : str or None
         Why there is no answer, where there is none.
+    narrowings : tuple of Narrowing
+        What was known about the pose of each photo.
     """
 
     results: tuple[MatchResult, ...]
     seconds: float
     refusal: str | None = None
+    narrowings: tuple[Narrowing, ...] = ()
 
     @property
     def agrees(self) -> tuple[bool, ...]:

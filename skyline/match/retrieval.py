@@ -11,7 +11,7 @@ photos. The last short list is of all places that are worth a fit.
 
 import math
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -19,9 +19,10 @@ from itertools import pairwise
 
 import numpy as np
 
-from skyline.arrays import Float32Array, Float64Array, Rows
+from skyline.arrays import BoolArray, Float32Array, Float64Array, Rows
 from skyline.errors import InputError
 from skyline.match.fit import GOOD_FIT, ROUGH_FIT, CurveFit, FitEffort
+from skyline.match.posterior import AlikePlaces
 from skyline.match.prior import NOTHING_KNOWN, Prior
 from skyline.match.rays import REFERENCE_FOV_DEG, Rays, in_runs
 from skyline.match.screen import (
@@ -173,7 +174,7 @@ class Retriever:
             coarse,
             self.places,
             _EFFORT.screened_again * counts[-1],
-            lambda some: np.all([prior.contains(some) for prior in priors], axis=0),
+            _within_all(priors),
             report,
         )
         if not len(ranked):
@@ -187,6 +188,29 @@ class Retriever:
             waiting = waiting[count - before :]
             if len(part):
                 yield part
+
+    def alike_places(
+        self, photos: Sequence[tuple[Rays, Prior]], report: ReportProgress = silent
+    ) -> AlikePlaces:
+        """Return all places within the narrowings of photos of one eye, with their scores.
+
+        The scores are of the coarse screen, summed over the photos. Raises `InputError` where the
+        search is narrowed to no place.
+        """
+        priors = [prior for _, prior in photos]
+        coarse = _sum_of([self._screens(rays, prior)[0] for rays, prior in photos])
+        alike = screen_places(coarse, self.places, len(self.places), _within_all(priors), report)
+        if not len(alike):
+            raise self._no_place_error(priors)
+        easting_m, northing_m, half_m = (
+            np.concatenate(column)[alike.row]
+            for column in zip(
+                *((one.easting_m, one.northing_m, one.tolerance_m) for one in self.places.blocks()),
+                strict=True,
+            )
+        )
+        score = alike.score.astype(np.float64)
+        return AlikePlaces(easting_m, northing_m, half_m.astype(np.float64), score)
 
     def fitted_all_round(self, rays: Rays) -> Poses:
         """Return poses fitted to a photo at every place.
@@ -379,6 +403,11 @@ def _total(found: Sequence[Poses]) -> Float64Array:
     if len(found) == 1:
         return found[0].cost
     return np.asarray(sum(np.minimum(one.cost, np.median(one.cost)) for one in found))
+
+
+def _within_all(priors: Sequence[Prior]) -> Callable[[Places], BoolArray]:
+    """Return a function that marks the places (N,) within the narrowings of all photos."""
+    return lambda some: np.all([prior.contains(some) for prior in priors], axis=0)
 
 
 def _sum_of(screens: Sequence[Screen]) -> Scores:

@@ -14,6 +14,7 @@ from skyline.errors import InputError
 from skyline.match import confidence
 from skyline.match.method import BY_RENDERING, SearchMethod
 from skyline.match.other_projection import OtherProjection, find_other_projection
+from skyline.match.posterior import AlikePlaces
 from skyline.match.prior import Narrowing, Prior
 from skyline.match.rays import Rays
 from skyline.match.refine import QUICK, WHOLE, Refinement
@@ -133,6 +134,18 @@ class FullMatcher(SearchMethod):
         found = next(lists, found)
         whole = Refinement(rays, scene, WHOLE, prior, report=report)
         return found, whole.run(_with_noted(found, noted))
+
+    @one_blas_thread()
+    def likely_places(
+        self, photos: Sequence[tuple[Rays, Prior]], report: ReportProgress = silent
+    ) -> tuple[Poses, AlikePlaces]:
+        """Return what is known of all places; see `SearchMethod.likely_places`."""
+        if len(photos) == 1:
+            ((rays, prior),) = photos
+            fitted = self.retriever.shortlist(rays, self._shortlist, prior, report)
+        else:
+            fitted = self.retriever.shortlist_together(photos, self._shortlist, report)[0]
+        return fitted, self.retriever.alike_places(photos, report)
 
     @one_blas_thread()
     def other_projection(self, rays: Rays, best: Pose, prior: Prior) -> OtherProjection | None:

@@ -40,6 +40,8 @@ class LocateTask:
     """Gazetteer of the page."""
     exports: Sequence[Path] = ()
     """Files of the candidates, as of `MatchTask`."""
+    probability: Sequence[Path] = ()
+    """Files of the posteriors, as of `MatchTask`."""
 
 
 def locate_photos(task: LocateTask, listener: Listener) -> int:
@@ -66,6 +68,7 @@ def locate_photos(task: LocateTask, listener: Listener) -> int:
         report=task.report,
         peaks=task.peaks,
         exports=task.exports,
+        probability=task.probability,
     )
     search.check_files()
     area, narrowing = area_of([one.path for one in usable], task.common.narrowing)

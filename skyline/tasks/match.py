@@ -24,10 +24,11 @@ from skyline.errors import (
     printable,
     suffix_of,
 )
-from skyline.files import STANDARD, check_outputs, read_bytes, version_of
+from skyline.files import GEOJSON, STANDARD, check_outputs, read_bytes, version_of
 from skyline.match.config import MatchConfig
 from skyline.match.matcher import FULL, Matcher
 from skyline.match.method import MATCHERS
+from skyline.match.posterior import Posterior
 from skyline.match.result import JointResult, MatchResult
 from skyline.peaks import Peaks, read_peaks
 from skyline.photo.image import EXPECTED
@@ -35,6 +36,7 @@ from skyline.photo.skyline import PhotoSkyline
 from skyline.plugins import names_of
 from skyline.report.exports import EXPORTS, export_matches
 from skyline.report.folder import check_report_folder
+from skyline.report.posterior_files import POSTERIOR_FILES, RASTERS, write_posteriors
 from skyline.report.results_file import ResultsFile
 from skyline.store.read import is_store
 from skyline.survey.cluster import runner_of
@@ -82,6 +84,8 @@ class MatchTask:
     """Gazetteer of the page."""
     exports: Sequence[Path] = ()
     """Files of the candidates, of the kinds of `EXPORTS`."""
+    probability: Sequence[Path] = ()
+    """Files of the posteriors, of the kinds of `POSTERIOR_FILES`."""
     serve: str = ""
     """Command that serves the page with the photos; the report names it."""
     results: Path | None = None
@@ -90,7 +94,7 @@ class MatchTask:
     @property
     def others(self) -> list[Path]:
         """Files that need all results, and not only rows."""
-        return [*self.exports, *filter(None, [self.report])]
+        return [*self.exports, *self.probability, *filter(None, [self.report])]
 
     @property
     def opening(self) -> tuple[Hashable, ...]:
@@ -136,6 +140,11 @@ class MatchTask:
                 self.same_place and self.workers,
                 "--same-place matches in this process; leave --workers out",
             ),
+            (
+                self.probability and self.matcher not in (FULL, UNREFINED),
+                f"--probability takes what the full matcher knows; leave --matcher {self.matcher} "
+                "out",
+            ),
         ):
             if is_wrong:
                 raise InputError(error)
@@ -148,7 +157,7 @@ class MatchTask:
         """
         named = [Path(one.path) for one in self.entries]
         inputs = [*self.stores, *self.inputs, *named, *filter(None, [self.peaks])]
-        check_outputs([*self.exports, self.results], inputs, self.report)
+        check_outputs([*self.exports, *self.probability, self.results], inputs, self.report)
         if self.report is not None:
             folders = {one.parent.resolve() for one in named if one != Path(STANDARD)}
             if self.report.resolve() in folders:
@@ -159,6 +168,14 @@ class MatchTask:
             check_report_folder(self.report)
         for path in self.exports:
             suffix_of(path, EXPORTS)
+        for path in self.probability:
+            kind = suffix_of(path, POSTERIOR_FILES)
+            if kind in RASTERS and len(self.entries) > 1 and not self.same_place:
+                raise InputError(
+                    f"--probability {path} holds one photo, and {len(self.entries)} are named; "
+                    f"give {path.with_suffix(GEOJSON[0])} or {path.with_suffix('.kml')}, which "
+                    "hold all, or --same-place if they were taken at one place"
+                )
 
 
 def split_stores(first: Path, others: Sequence[Path]) -> tuple[tuple[Path, ...], Sequence[Path]]:
@@ -208,6 +225,7 @@ class _Run:
         self._listener = listener
         self._file = file
         self._loading_s = 0.0
+        self._joint: JointResult | None = None
         self.exit_code = 0
 
     def match(self) -> None:
@@ -369,7 +387,8 @@ class _Run:
             replace(result, name=entry.path, id=entry.label)
             for (entry, _), result in zip(photos, joint.results, strict=True)
         ]
-        self._show_result(replace(joint, results=tuple(results)))
+        self._joint = replace(joint, results=tuple(results))
+        self._show_result(self._joint)
         return results
 
     def _show_result(self, result: MatchResult | JointResult) -> None:
@@ -422,6 +441,8 @@ class _Run:
         """Write the exports and the report."""
         for path in self._task.exports:
             export_matches(path, found, matcher.frame)
+        if self._task.probability:
+            self._write_posteriors(found if self._joint is None else [self._joint], matcher)
         if self._task.report is None:
             return
         from skyline.report.match_page import report_matches  # noqa: PLC0415  (slow to load)
@@ -433,6 +454,20 @@ class _Run:
         )
         with suppress(BrokenPipeError):
             self._listener.remark(f"report: {page}")
+
+    def _write_posteriors(
+        self, found: Sequence[MatchResult | JointResult], matcher: Matcher
+    ) -> None:
+        """Write the posterior of each photo, or the one of all photos of one place."""
+        with self._listener.progress("mapping probabilities") as progress:
+
+            def posteriors() -> Iterator[tuple[str, Posterior]]:
+                for number, result in enumerate(found):
+                    progress(number, len(found))
+                    first = result.results[0] if isinstance(result, JointResult) else result
+                    yield first.name, matcher.posterior(result)
+
+            write_posteriors(self._task.probability, posteriors())
 
 
 def _of_photo(entry: Entry, error: SkylineError) -> str:

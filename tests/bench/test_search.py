@@ -257,6 +257,26 @@ def test_a_summary_counts_every_query():
     assert (nothing["precision"], nothing["heading_median_deg"]) == (None, None)
 
 
+def test_posteriors_are_held_to_the_true_places():
+    shares = (0.3, 0.7, 0.9, 0.99, None)
+    some = [Trial(100.0, share=share, gain_bits=share and 10.0 * share) for share in shares]
+    row = summarize(some, 5000.0, seed=0)
+    assert (row["n"], row["posteriors"]) == (5, 4)
+    assert (row["in_50"], row["in_80"], row["in_95"]) == (0.25, 0.5, 0.75)
+    assert row["gain_bits"] == pytest.approx(7.225)
+    assert "in_50" not in summarize(TRIALS, 5000.0, seed=0)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("refined_quickly")
+def test_a_probability_is_measured(run, dem, store):
+    asked = ("probability", dem, "--store", store, "--kind", "plain", "--queries", 2)
+    row = run(*asked)["rows"][-1]
+    assert row["posteriors"] == 2
+    assert 0.0 <= row["in_50"] <= row["in_80"] <= row["in_95"] <= 1.0
+    assert row["gain_bits"] > 0.0
+
+
 def row(store, matcher, renderings, mean_m, group="all"):
     planner = store.split("-")[0]
     return {"store": store, "planner": planner, "matcher": matcher, "queries": "plain",

@@ -48,6 +48,7 @@ LEFT = {
     "dem-formats.md": ("own.h5", "heights.tif", "same.h5"),
     "photos.md": ("report/index.html", "candidates.geojson", "candidates.kml"),
     "surfaces.md": ("both.csv", "trees.png"),
+    "searching.md": ("map.tif", "map.kml"),
     "scripts.md": ("pictures/0000.png", "python.h5"),
 }
 """Page -> files that its commands leave."""

@@ -11,9 +11,11 @@ from unittest.mock import Mock
 import cv2
 import numpy as np
 import pytest
+import rasterio
 from commands import assert_refused, csv_of, lonlat_of, off_m
 from scenes import write_dem
 
+from skyline import InputError, MatchResult, PhotoSkyline
 from skyline.errors import ContextError
 from skyline.geodesy.map_frame import Frame
 from skyline.match.matcher import Matcher
@@ -304,3 +306,46 @@ def test_match_writes_a_report_and_geojson_beside_the_json(run, store, photo, tm
     assert "the skyline rendered at the best candidate" in html
     assert cv2.imread(str(folder / "01-overlay.jpg")).std() > 20.0
     assert json.loads(geojson.read_text())["features"][0]["properties"]["photo"] == str(photo)
+
+
+@pytest.mark.parametrize("aside", [False, True], ids=["an answer", "no answer"])
+def test_the_posterior_is_mapped(run, store, dem, photo, tmp_path, aside):
+    tif, kml = tmp_path / "map.tif", tmp_path / "map.kml"
+    command = ["match", store, photo, "--fov-deg", "60", "--probability", tif]
+    place = 601_000.0, 5_179_000.0
+    if aside:
+        command += ["--near", "{},{},0.4".format(*lonlat_of(dem, *place))]
+    done = run(*command, "--probability", kml).ok()
+    assert ("no answer" in done.out) is aside
+    with rasterio.open(tif) as raster:
+        cells = raster.read(1)
+        best = raster.xy(*np.unravel_index(cells.argmax(), cells.shape))
+    assert cells.sum(dtype=float) == pytest.approx(1.0, abs=1e-4)
+    assert math.dist(best, place if aside else (601_800.0, 5_178_000.0)) < (500 if aside else 30)
+    assert kml.read_text().count("<Placemark>") == 3
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--probability", "map.png"), "the suffix of map.png is '.png'; expected one of .tif"),
+        (("--probability", "map.tif"), "give map.geojson or map.kml, which hold all"),
+        (("--probability", "map.kml", "--matcher", "paper"), "leave --matcher paper out"),
+    ],
+)
+def test_posteriors_that_cannot_be_written_are_refused(run, store, photo, options, message):
+    assert_refused(run("match", store, photo, photo, "--fov-deg", "60", *options), message)
+
+
+def test_a_posterior_is_of_a_search(store):
+    fitted = MatchResult(PhotoSkyline(np.full(40, 10.0), np.ones(40), 40, 30), (), 1.0)
+    with Matcher(store) as matcher, pytest.raises(InputError, match="the result of `match`"):
+        matcher.posterior(fitted)
+
+
+@pytest.mark.slow
+def test_photos_of_one_place_have_one_posterior(run, store, photo, tmp_path):
+    maps = tmp_path / "map.tif", tmp_path / "map.json"
+    asked = [part for one in maps for part in ("--probability", one)]
+    run("match", store, photo, photo, "--fov-deg", "60", "--same-place", *asked).ok()
+    assert len(json.loads(maps[1].read_text())["features"]) == 3

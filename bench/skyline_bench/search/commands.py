@@ -71,6 +71,7 @@ class Search:
     queries: int = 100  # Number of queries of each kind
     areas_km2: tuple[float, ...] = ()  # Squares that are searched, beside the whole area
     by_thirds: bool = False  # Whether queries are grouped by thirds of their distances
+    with_posteriors: bool = False  # Whether posteriors are held to the true places
     in_middle: bool = True  # Whether the area is by default 5 x 10 km in the DEM's middle
     # West, south, east, north of the area; by default all of the DEM, or what a given store covers.
     bounds_deg: Bounds | None = None
@@ -181,7 +182,13 @@ class Search:
                     if area != trials.ALL and not is_strange:
                         truth = query[0].truth
                         narrowing = _square(truth, areas[area], area_m, terrain, self.seed)
-                    trial = trials.tried(opened, query, narrowing, strange=is_strange)
+                    trial = trials.tried(
+                        opened,
+                        query,
+                        narrowing,
+                        strange=is_strange,
+                        with_posterior=self.with_posteriors,
+                    )
                     found[kind, index, area] = trial
                     progress(len(found), len(keys))
             for kind, area in product(queries, searched):
@@ -295,6 +302,17 @@ SEARCHES: Mapping[str, Search] = {
         kinds=kinds.SAME_PLACE,
         queries=30,
         by_thirds=True,
+    ),
+    "probability": Search(
+        """Posteriors: how often the true place lies in the areas of 50, 80 and 95 %.
+
+        The gain is how much more probable the true cell is than if all cells were alike, as the
+        mean of its binary logarithm. Queries without any skyline have no posterior.""",
+        "20 minutes",
+        "store queries km2 n posteriors in_50 in_80 in_95 gain_bits within_200m answered",
+        kinds=("plain", kinds.OTHER_DEM, "occluded", "bent"),
+        queries=75,
+        with_posteriors=True,
     ),
     "strangers": Search(
         """Skylines of other terrain (--strange): how many a store answers, and how surely.""",

@@ -18,12 +18,13 @@ from skyline.errors import InputError
 from skyline.geodesy.bounds import in_turn
 from skyline.match.config import MatchConfig
 from skyline.match.matcher import FULL
+from skyline.match.posterior import SHARES, Posterior
 from skyline.pose import RIGHT_WITHIN_M, ROUGHLY_WITHIN_M, Poses
 from skyline.store.layout import PLACES, RENDERINGS
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.measuring import Row, timed
 from skyline_bench.queries.kinds import Query, distance_m
-from skyline_bench.queries.synthetic import QueryConfig, SyntheticQuery
+from skyline_bench.queries.synthetic import QueryConfig, SyntheticQuery, Truth
 from skyline_bench.search.stores import UNIFORM
 
 PAPER = "paper"
@@ -56,6 +57,10 @@ class Trial:
     truth_ahead: float | None = None
     # Whether a photo is named as taken elsewhere; with a stranger, whether the stranger is named.
     named: bool = False
+    # Share of the posterior in more probable cells than the true one's, and how much more probable
+    # the true cell is than if all were alike; None where no posterior was asked for.
+    share: float | None = None
+    gain_bits: float | None = None
     seconds: float = 0.0
     cpu_s: float = 0.0
 
@@ -66,7 +71,14 @@ def open_matcher(name: str, store: Path, terrain: HeightField) -> Matcher:
     return Matcher(store, terrain, FULL if name == UNREFINED else name, config)
 
 
-def tried(matcher: Matcher, query: Query, narrowing: Narrowing | None, *, strange: bool) -> Trial:
+def tried(
+    matcher: Matcher,
+    query: Query,
+    narrowing: Narrowing | None,
+    *,
+    strange: bool,
+    with_posterior: bool = False,
+) -> Trial:
     """Match a query; a query that is refused has no candidate."""
 
     def match() -> MatchResult | JointResult | None:
@@ -81,7 +93,18 @@ def tried(matcher: Matcher, query: Query, narrowing: Narrowing | None, *, strang
     ahead = None
     if not strange and trial.error_m > RIGHT_WITHIN_M and isinstance(result, MatchResult):
         ahead = _truth_ahead(matcher, query[0], result)
+    if with_posterior and result is not None:
+        with suppress(InputError):  # The photo shows no skyline at all.
+            trial = _with_posterior(trial, matcher.posterior(result), query[0].truth)
     return replace(trial, truth_ahead=ahead, seconds=timing.seconds, cpu_s=timing.cpu_seconds)
+
+
+def _with_posterior(trial: Trial, posterior: Posterior, truth: Truth) -> Trial:
+    """Return a trial with the figures of a posterior."""
+    place = {"easting_m": truth.easting_m, "northing_m": truth.northing_m}
+    cell = posterior.probability_at(**place) * posterior.probability.size
+    gain_bits = math.log2(max(cell, _LEAST_SHARE))
+    return replace(trial, share=posterior.share_at(**place), gain_bits=gain_bits)
 
 
 def _truth_ahead(matcher: Matcher, query: SyntheticQuery, result: MatchResult) -> float | None:
@@ -148,6 +171,8 @@ CLASSES = {"< 150 m": (0.0, 150.0), "150-400 m": (150.0, 400.0), "> 400 m": (400
 
 _AHEAD = 3.0
 """Difference of scores from which a pose fits clearly better."""
+_LEAST_SHARE = 1e-9
+"""Cells that are less probable than this, if all cells were 1, count as this."""
 _LEAST_M = 1e-3
 """Smaller errors count as this, so that they have a logarithm."""
 
@@ -214,10 +239,21 @@ def summarize(trials: Sequence[Trial], miss_m: float, seed: int) -> Row:
         "highest_confidence": max((trial.confidence or 0.0 for trial in trials), default=0.0),
         "lost_by_search": float((ahead > _AHEAD).mean()),
         "lost_to_likeness": float((ahead <= _AHEAD).mean()),
+        **_held(trials),
         "named": float(np.mean([trial.named for trial in trials])),
         "query_s": float(np.median([trial.seconds for trial in trials])),
         "query_cpu_s": float(np.mean([trial.cpu_s for trial in trials])),
     }
+
+
+def _held(trials: Sequence[Trial]) -> Row:
+    """Return how often the true place lies in the regions of posteriors, where there are any."""
+    share = np.array([one.share for one in trials if one.share is not None])
+    gain = [one.gain_bits for one in trials if one.gain_bits is not None]
+    if not len(share):
+        return {}
+    held = {f"in_{100 * one:.0f}": float((share < one).mean()) for one in SHARES}
+    return {"posteriors": len(share), **held, "gain_bits": float(np.mean(gain))}
 
 
 def by_planner(rows: Iterable[Row]) -> tuple[list[Row], list[Row]]:

@@ -1,0 +1,147 @@
+"""Posteriors of photos as files: a GeoTIFF of a photo's, or outlines of several photos'."""
+
+import json
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree as Xml
+
+import numpy as np
+
+from skyline.arrays import Float64Array
+from skyline.errors import InputError, printable, suffix_of
+from skyline.files import GEOJSON, write_with_folders
+from skyline.geodesy.antimeridian import lonlat_rings
+from skyline.match.posterior import SHARES, Posterior
+
+RASTERS = (".tif", ".tiff")
+"""Suffixes of files that hold the posterior of one photo."""
+POSTERIOR_FILES = (*RASTERS, *GEOJSON, ".kml")
+"""Suffixes of posteriors."""
+_DECIMALS = 6
+"""Decimals of degrees in files: a tenth of a metre."""
+_COLOURS = {0.5: "b03030e0", 0.8: "803080f0", 0.95: "5030d0f0"}
+"""Colours of regions in KML: opacity, blue, green, red."""
+Json = dict[str, Any]
+
+
+def write_posteriors(
+    paths: Sequence[str | Path], posteriors: Iterable[tuple[str, Posterior]]
+) -> None:
+    """Write the posteriors of photos, each as one kind of file.
+
+    Parameters
+    ----------
+    paths : sequence of path
+        The suffix chooses the kind: GeoTIFF, the probability of each cell; GeoJSON or KML, the
+        outlines of the smallest areas that hold 50, 80 and 95 % of the probability. Missing folders
+        are made.
+    posteriors : iterable of (str, Posterior)
+        With the file of each photo. They may be made one by one: none is kept.
+
+    Raises
+    ------
+    InputError
+        A suffix is not known, there are several photos for a GeoTIFF, or a file cannot be written.
+    """
+    kinds = {Path(path): suffix_of(path, POSTERIOR_FILES) for path in paths}
+    rasters = [path for path, kind in kinds.items() if kind in RASTERS]
+    features: list[Json] = []
+    for number, (photo, posterior) in enumerate(posteriors):
+        if rasters and number:
+            raise InputError(f"{rasters[0]} holds one photo; give one, or {GEOJSON[0]} or .kml")
+        for path in rasters:
+            write_with_folders(path, _geotiff(posterior))
+        if len(rasters) < len(kinds):
+            features += [_feature(printable(photo), posterior, share) for share in SHARES]
+    for path, kind in kinds.items():
+        if kind == ".kml":
+            write_with_folders(path, _kml(features))
+        elif kind in GEOJSON:
+            collection = {"type": "FeatureCollection", "features": features}
+            write_with_folders(path, json.dumps(collection) + "\n")
+
+
+def _feature(photo: str, posterior: Posterior, share: float) -> Json:
+    """Return the region of a share as a GeoJSON feature."""
+    polygons = [
+        polygon for rings in posterior.region(share) for polygon in _polygons(rings, posterior)
+    ]
+    return {
+        "type": "Feature",
+        "geometry": {"type": "MultiPolygon", "coordinates": polygons},
+        "properties": {
+            "photo": photo,
+            "share": share,
+            "area_km2": round(posterior.area_km2(share), 6),
+        },
+    }
+
+
+def _polygons(rings: Sequence[Float64Array], posterior: Posterior) -> list[list[list[list[float]]]]:
+    """Return an outline and its holes as polygons in degrees, cut at the antimeridian."""
+    outer, *holes = (
+        [np.round(part, _DECIMALS) for part in lonlat_rings(ring, posterior.frame)]
+        for ring in rings
+    )
+    polygons = [[part] for part in outer]
+    for hole in (part for parts in holes for part in parts):
+        middle = hole.mean(axis=0)
+        for polygon in polygons:
+            low, high = polygon[0].min(axis=0), polygon[0].max(axis=0)
+            if ((low <= middle) & (middle <= high)).all():
+                polygon.append(hole)
+                break
+    return [[ring.tolist() for ring in polygon] for polygon in polygons]
+
+
+def _kml(features: Sequence[Json]) -> bytes:
+    """Return regions as KML, the widest ones lowest."""
+    root = Xml.Element("kml", xmlns="http://www.opengis.net/kml/2.2")
+    document = Xml.SubElement(root, "Document")
+    for share, colour in _COLOURS.items():
+        style = Xml.SubElement(document, "Style", id=f"held{share * 100:.0f}")
+        for part in ("LineStyle", "PolyStyle"):
+            Xml.SubElement(Xml.SubElement(style, part), "color").text = colour
+    for one in sorted(features, key=lambda feature: -feature["properties"]["share"]):
+        about = one["properties"]
+        percent = f"{about['share'] * 100:.0f}"
+        mark = Xml.SubElement(document, "Placemark")
+        Xml.SubElement(mark, "name").text = f"{Path(about['photo']).name}: {percent} %"
+        text = f"Taken in here with a probability of {percent} %; {about['area_km2']:.3g} km²"
+        Xml.SubElement(mark, "description").text = text
+        Xml.SubElement(mark, "styleUrl").text = f"#held{percent}"
+        shapes = Xml.SubElement(mark, "MultiGeometry")
+        for rings in one["geometry"]["coordinates"]:
+            polygon = Xml.SubElement(shapes, "Polygon")
+            for number, ring in enumerate(rings):
+                side = Xml.SubElement(polygon, "innerBoundaryIs" if number else "outerBoundaryIs")
+                places = " ".join(f"{lon},{lat}" for lon, lat in ring)
+                line = Xml.SubElement(side, "LinearRing")
+                Xml.SubElement(line, "coordinates").text = places
+    return bytes(Xml.tostring(root, encoding="utf-8", xml_declaration=True))
+
+
+def _geotiff(posterior: Posterior) -> bytes:
+    """Return the probability of each cell as a Cloud-Optimized GeoTIFF."""
+    from rasterio.io import MemoryFile  # noqa: PLC0415  (slow to load)
+    from rasterio.transform import from_origin  # noqa: PLC0415
+
+    rows, cols = posterior.probability.shape
+    with MemoryFile() as memory:
+        with memory.open(
+            driver="COG",
+            count=1,
+            height=rows,
+            width=cols,
+            dtype="float32",
+            crs=posterior.frame.wkt,
+            transform=from_origin(
+                posterior.west_m, posterior.north_m, posterior.cell_m, posterior.cell_m
+            ),
+            compress="deflate",
+            predictor="yes",
+        ) as raster:
+            raster.write(posterior.probability, 1)
+            raster.set_band_description(1, "probability of the cell")
+        return bytes(memory.read())
