@@ -47,6 +47,17 @@ class SearchMethod(ABC):
         The store is not empty, and is closed afterwards.
         """
 
+    @classmethod
+    def joined(cls, methods: Sequence[Self]) -> Self:
+        """Return one method for the areas of several, each of another elevation model.
+
+        Its poses have `Poses.sites`, with the areas in the order of ``methods``.
+        """
+        raise InputError(
+            f"this matcher searches stores of one elevation model, and these are of {len(methods)};"
+            " use the full matcher, or search them one after another"
+        )
+
     @abstractmethod
     def eyes(self) -> Viewpoints:
         """Return the eyes of the store.
