@@ -134,6 +134,9 @@ class Matcher(Closeable):
             )
         self._scenes: list[RenderedScene] = []
         opened = [self._opened(method, group, dem, surface) for group in groups]
+        if len(self._scenes) < len(groups):
+            # Costs of refined poses do not compare with others: all are refined, or none.
+            self.close()
         self.areas = tuple(area for area, _ in opened)
         self.rows = sum(area.rows for area in self.areas)
         self.holds = method.holds
@@ -172,21 +175,21 @@ class Matcher(Closeable):
 
     @property
     def header(self) -> StoreHeader:
-        """The header of the store; raises `InputError` for stores of several DEMs."""
-        return self._area.header
+        """The header of the store; raises as `only_area`."""
+        return self.only_area().header
 
     @property
     def frame(self) -> Frame:
-        """The frame of the store; raises as `header`."""
-        return self._area.frame
+        """The frame of the store; raises as `only_area`."""
+        return self.only_area().frame
 
     @property
     def terrain(self) -> HeightField | None:
-        """The store's terrain, if it is at hand; raises as `header`."""
-        return self._area.terrain
+        """The store's terrain, if it is at hand; raises as `only_area`."""
+        return self.only_area().terrain
 
-    @property
-    def _area(self) -> MatchedArea:
+    def only_area(self) -> MatchedArea:
+        """Return the one area that is searched; raises `InputError` if there are several."""
         if len(self.areas) > 1:
             raise InputError(
                 f"the stores are of {len(self.areas)} elevation models, and this needs one: name "
@@ -204,7 +207,7 @@ class Matcher(Closeable):
 
     @cached_property
     def viewpoints(self) -> Viewpoints:
-        """The eyes of the store, or an even selection of very many; raises as `header`."""
+        """The eyes of the store, or an even selection of very many; raises as `only_area`."""
         return self._method.eyes()
 
     def __repr__(self) -> str:
@@ -215,6 +218,7 @@ class Matcher(Closeable):
         """Free the matcher's GPU memory; it cannot refine after that."""
         for scene in self._scenes:
             scene.close()
+        self._scenes.clear()
 
     def match(
         self,

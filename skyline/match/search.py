@@ -101,7 +101,10 @@ class FullMatcher(SearchMethod):
     @classmethod
     def joined(cls, methods: Sequence["FullMatcher"]) -> "FullMatcher":
         """Return the matcher of the areas of all; see `SearchMethod.joined`."""
-        return cls([area for method in methods for area in method._areas])
+        areas = [area for method in methods for area in method._areas]
+        if any(area.scene is None for area in areas):
+            areas = [replace(area, scene=None) for area in areas]
+        return cls(areas)
 
     def eyes(self) -> Viewpoints:
         """Return the eyes of the places; of very many, every n-th.

@@ -59,7 +59,7 @@ class MatchTask:
     """Photos to find, stores to search, and files to write."""
 
     stores: tuple[Path, ...]
-    """Stores of one DEM, which are searched as one."""
+    """They are searched as one."""
     entries: Sequence[Entry]
     """The photos."""
     common: Entry = Entry("")  # noqa: RUF009  (it is frozen)
@@ -309,7 +309,8 @@ class _Run:
     def _opened(self) -> Matcher:
         """Open the matcher.
 
-        Raises `InputError` if a file of results would keep answers that lack refinement.
+        Raises `InputError` if a file of results would keep answers that lack refinement, and for
+        the report of stores of several DEMs.
         """
         task = self._task
         started = time.perf_counter()
@@ -318,7 +319,10 @@ class _Run:
         ):
             matcher = Matcher(*task.opening)  # type: ignore[arg-type]
         self._loading_s = time.perf_counter() - started
-        if self._file is not None and task.matcher == FULL and matcher.terrain is None:
+        if task.report is not None:
+            matcher.only_area()
+        is_unrefined = any(area.terrain is None for area in matcher.areas)
+        if self._file is not None and task.matcher == FULL and is_unrefined:
             raise InputError(
                 "--results keeps answers for good, and these would be unrefined; name the store's "
                 f"DEM with --dem, or accept that with --matcher {UNREFINED}"
@@ -421,7 +425,7 @@ class _Run:
     ) -> None:
         """Write the exports and the report."""
         for path in self._task.exports:
-            export_matches(path, found, matcher.frame)
+            export_matches(path, found, [area.frame for area in matcher.areas])
         if self._task.report is None:
             return
         from skyline.report.match_page import report_matches  # noqa: PLC0415  (slow to load)
