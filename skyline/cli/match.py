@@ -58,8 +58,8 @@ def match(
             metavar="PHOTO",
             help="Photos, folders of them, sky masks (white = sky), CSV traces or lists, or - for "
             "the names of photos on standard input. A trace "
-            "begins with '# width=W height=H' and has the columns column_px,row_px. More stores of "
-            "the same DEM may be named before the photos; all stores are searched as one.",
+            "begins with '# width=W height=H' and has the columns column_px,row_px. More stores may "
+            "be named before the photos; all are searched as one.",
         ),
     ],
     fov_deg: FieldOfView = None,

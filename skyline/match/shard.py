@@ -84,7 +84,7 @@ class Shard:
         """
 
         def contains(some: Places) -> BoolArray:
-            return np.all([prior.contains(some) for prior in priors], axis=0)
+            return np.asarray(np.all([prior.contains(some) for prior in priors], axis=0))
 
         scores = _sum_of(screens)
         return screen_places(scores, self._places, count, contains, report)

@@ -190,11 +190,9 @@ def open_joined(paths: Sequence[str | os.PathLike[str]]) -> Iterator[Store]:
             yield store
 
 
-def by_model(
-    paths: Sequence[str | os.PathLike[str]],
-) -> list[list[str | os.PathLike[str]]]:
+def by_model(paths: Sequence[str | Path]) -> list[list[str | Path]]:
     """Return stores' paths in groups of one elevation model and frame each, in order."""
-    groups: dict[tuple[str, str], list[str | os.PathLike[str]]] = {}
+    groups: dict[tuple[str, str], list[str | Path]] = {}
     for path in paths:
         with open_store(path) as store:
             header = store.header
