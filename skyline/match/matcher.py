@@ -24,6 +24,7 @@ from skyline.match.rays import Rays
 from skyline.match.refine import VIEW_WIDTH
 from skyline.match.result import TOP, JointResult, MatchResult
 from skyline.match.screen import ReportProgress, silent
+from skyline.match.shard import Shard
 from skyline.match.verdict import Verdict, candidate_reached, too_little
 from skyline.photo.image import Picture
 from skyline.photo.read import named_skyline
@@ -187,6 +188,10 @@ class Matcher(Closeable):
     def terrain(self) -> HeightField | None:
         """The store's terrain, if it is at hand; raises as `only_area`."""
         return self.only_area().terrain
+
+    def search_by(self, shards: Sequence[Sequence[Shard]]) -> None:
+        """Search the places of each area by shards, as `skyline.match.spread` has them."""
+        self._method = self._method.by_shards(shards)
 
     def only_area(self) -> MatchedArea:
         """Return the one area that is searched; raises `InputError` if there are several."""

@@ -10,6 +10,7 @@ from skyline.match.other_projection import OtherProjection
 from skyline.match.prior import Prior
 from skyline.match.rays import Rays
 from skyline.match.screen import ReportProgress, silent
+from skyline.match.shard import Shard
 from skyline.pose import Pose, Poses
 from skyline.render.horizon import RenderedScene
 from skyline.store.read import Store
@@ -57,6 +58,10 @@ class SearchMethod(ABC):
             f"this matcher searches stores of one elevation model, and these are of {len(methods)};"
             " use the full matcher, or search them one after another"
         )
+
+    def by_shards(self, shards: Sequence[Sequence[Shard]]) -> Self:
+        """Return this method with places in other processes, all asked at a time, by area."""
+        raise InputError("only the full matcher can search by parts of the places")
 
     @abstractmethod
     def eyes(self) -> Viewpoints:

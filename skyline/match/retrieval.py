@@ -10,7 +10,8 @@ photos. The last short list is of all places that are worth a fit.
 """
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import pairwise
@@ -98,9 +99,14 @@ class Retriever:
         The shards of each elevation model, which share its frame.
     frames : sequence of Frame
         The frames, by area. One area alone needs none.
+    at_once : int
+        Shards that are asked at a time; shards of this process take all of its cores.
     """
 
-    def __init__(self, areas: Sequence[Sequence[Shard]], frames: Sequence[Frame] = ()) -> None:
+    def __init__(
+        self, areas: Sequence[Sequence[Shard]], frames: Sequence[Frame] = (), at_once: int = 1
+    ) -> None:
+        self._at_once = at_once
         self._shards = [shard for shards in areas for shard in shards]
         self._area = np.repeat(np.arange(len(areas)), [len(shards) for shards in areas])
         self._frames = frames
@@ -135,6 +141,13 @@ class Retriever:
         """Return the numbers (M,) of the shards that hold places."""
         return np.searchsorted(self._first, rows, side="right") - 1
 
+    def _asked(self, asks: Iterable[Callable[[], T]]) -> list[T]:
+        """Return the answers of shards, in order."""
+        if self._at_once == 1:
+            return [ask() for ask in asks]
+        with ThreadPoolExecutor(self._at_once) as pool:
+            return list(pool.map(lambda ask: ask(), asks))
+
     def _of_each(
         self,
         rows: IntArray,
@@ -146,12 +159,12 @@ class Retriever:
         ``ask`` takes a shard, the indices of its places in ``rows``, and their rows in the shard.
         """
         number = self._shard_of(rows)
-        parts = []
-        at = []
-        for one in np.unique(number) if len(rows) else [0]:
-            mine = np.flatnonzero(number == one)
-            parts.append(ask(self._shards[one], mine, rows[mine] - self._first[one]))
-            at.append(mine)
+        asked = np.unique(number).tolist() if len(rows) else [0]
+        at = [np.flatnonzero(number == one) for one in asked]
+        parts = self._asked(
+            partial(ask, self._shards[one], mine, rows[mine] - self._first[one])
+            for one, mine in zip(asked, at, strict=True)
+        )
         if len(parts) == 1:
             return parts[0]
         back: Any = np.argsort(np.concatenate(at), kind="stable")
@@ -232,12 +245,15 @@ class Retriever:
     ) -> Alike:
         """Return the best ``count`` places of all shards, best first."""
         known = [prior.in_frames(self._frames) for prior in priors]
-        found = []
+        asks = []
         for shard, area, first in zip(self._shards, self._area, self._first[:-1], strict=True):
             there = [its_priors[area] for its_priors in known]
             told = partial(_report_part, report, first / len(self), len(shard) / len(self))
-            alike = shard.screened(screens, there, count, told)
-            found.append(replace(alike, row=first + alike.row))
+            asks.append(partial(shard.screened, screens, there, count, told))
+        found = [
+            replace(alike, row=first + alike.row)
+            for alike, first in zip(self._asked(asks), self._first[:-1], strict=True)
+        ]
         return Alike.joined(found).best(count)
 
     def _rescored(self, screens: Sequence[Screen], rows: IntArray) -> Float32Array:

@@ -76,11 +76,11 @@ class FullMatcher(SearchMethod):
     takes_prior = True
     sure_margin: ClassVar[float] = SURE_MARGIN
 
-    def __init__(self, areas: Sequence[SearchedArea]) -> None:
+    def __init__(self, areas: Sequence[SearchedArea], at_once: int = 1) -> None:
         self._areas = areas
         frames = [area.frame for area in areas if area.frame is not None]
         self._frames = frames if len(areas) > 1 else []
-        self.retriever = Retriever([area.shards for area in areas], self._frames)
+        self.retriever = Retriever([area.shards for area in areas], self._frames, at_once)
         self.models = confidence.models()
         # The more places there are, the more are alike.
         share = round(1 / 1500 * len(self.retriever))
@@ -105,6 +105,14 @@ class FullMatcher(SearchMethod):
         if any(area.scene is None for area in areas):
             areas = [replace(area, scene=None) for area in areas]
         return cls(areas)
+
+    def by_shards(self, shards: Sequence[Sequence[Shard]]) -> "FullMatcher":
+        """Return this matcher with other shards, by area; see `SearchMethod.by_shards`."""
+        areas = [
+            replace(area, shards=its_shards)
+            for area, its_shards in zip(self._areas, shards, strict=True)
+        ]
+        return FullMatcher(areas, at_once=sum(map(len, shards)))
 
     def eyes(self) -> Viewpoints:
         """Return the eyes of the places; of very many, every n-th.

@@ -29,6 +29,7 @@ from skyline.match.config import MatchConfig
 from skyline.match.matcher import FULL, Matcher
 from skyline.match.method import MATCHERS
 from skyline.match.result import JointResult, MatchResult
+from skyline.match.spread import distant_shards
 from skyline.peaks import Peaks, read_peaks
 from skyline.photo.image import EXPECTED
 from skyline.photo.skyline import PhotoSkyline
@@ -76,6 +77,8 @@ class MatchTask:
     """Whether all photos were taken at one place."""
     workers: str | None = None
     """As for `runner_of`."""
+    split: bool = False
+    """Whether all workers search for each photo, each in a part of the places."""
     report: Path | None = None
     """Folder of a page with pictures and maps."""
     peaks: Path | None = None
@@ -132,6 +135,7 @@ class MatchTask:
                 self.same_place and self.results,
                 "--same-place gives one answer, not one row per photo; leave --results out",
             ),
+            (self.split and not self.workers, "--split is for workers; give --workers too"),
             (
                 self.same_place and self.workers,
                 "--same-place matches in this process; leave --workers out",
@@ -241,7 +245,11 @@ class _Run:
             ):
                 progress(0, len(usable))
                 each = match_here(matcher, usable)
-                if runner is not None:
+                if runner is not None and task.split:
+                    rows = [area.rows for area in matcher.areas]
+                    tiles = dem_names(task.dem) or None
+                    matcher.search_by(distant_shards(runner, task.stores, rows, tiles))
+                elif runner is not None:
                     each = match_many(runner, task.opening, usable)
                 found = self._show_each(known, refused, each, progress)
         if found:
