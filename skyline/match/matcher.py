@@ -189,9 +189,12 @@ class Matcher(Closeable):
         """The store's terrain, if it is at hand; raises as `only_area`."""
         return self.only_area().terrain
 
-    def search_by(self, shards: Sequence[Sequence[Shard]]) -> None:
-        """Search the places of each area by shards, as `skyline.match.spread` has them."""
-        self._method = self._method.by_shards(shards)
+    def search_by(self, shards: Sequence[Sequence[Shard]], at_once: int) -> None:
+        """Search the places of each area by shards, as `skyline.match.spread` has them.
+
+        So many of them are asked ``at_once``.
+        """
+        self._method = self._method.by_shards(shards, at_once)
 
     def only_area(self) -> MatchedArea:
         """Return the one area that is searched; raises `InputError` if there are several."""

@@ -59,8 +59,11 @@ class SearchMethod(ABC):
             " use the full matcher, or search them one after another"
         )
 
-    def by_shards(self, shards: Sequence[Sequence[Shard]]) -> Self:
-        """Return this method with places in other processes, all asked at a time, by area."""
+    def by_shards(self, shards: Sequence[Sequence[Shard]], at_once: int) -> Self:
+        """Return this method with places in other processes, by area.
+
+        So many shards are asked ``at_once``.
+        """
         raise InputError("only the full matcher can search by parts of the places")
 
     @abstractmethod

@@ -141,12 +141,13 @@ class Retriever:
         """Return the numbers (M,) of the shards that hold places."""
         return np.searchsorted(self._first, rows, side="right") - 1
 
-    def _asked(self, asks: Iterable[Callable[[], T]]) -> list[T]:
-        """Return the answers of shards, in order."""
+    def _asked(self, asks: Iterable[Callable[[], T]]) -> Iterator[T]:
+        """Yield the answers of shards, in order."""
         if self._at_once == 1:
-            return [ask() for ask in asks]
+            yield from (ask() for ask in asks)
+            return
         with ThreadPoolExecutor(self._at_once) as pool:
-            return list(pool.map(lambda ask: ask(), asks))
+            yield from pool.map(lambda ask: ask(), asks)
 
     def _of_each(
         self,
@@ -161,10 +162,11 @@ class Retriever:
         number = self._shard_of(rows)
         asked = np.unique(number).tolist() if len(rows) else [0]
         at = [np.flatnonzero(number == one) for one in asked]
-        parts = self._asked(
+        asks = (
             partial(ask, self._shards[one], mine, rows[mine] - self._first[one])
             for one, mine in zip(asked, at, strict=True)
         )
+        parts = list(self._asked(asks))
         if len(parts) == 1:
             return parts[0]
         back: Any = np.argsort(np.concatenate(at), kind="stable")
@@ -245,16 +247,24 @@ class Retriever:
     ) -> Alike:
         """Return the best ``count`` places of all shards, best first."""
         known = [prior.in_frames(self._frames) for prior in priors]
-        asks = []
-        for shard, area, first in zip(self._shards, self._area, self._first[:-1], strict=True):
-            there = [its_priors[area] for its_priors in known]
+        kept = Alike.joined([])
+        least = -math.inf
+
+        def screened(number: int) -> Alike:
+            shard = self._shards[number]
+            there = [its_priors[self._area[number]] for its_priors in known]
+            first = self._first[number]
             told = partial(_report_part, report, first / len(self), len(shard) / len(self))
-            asks.append(partial(shard.screened, screens, there, count, told))
-        found = [
-            replace(alike, row=first + alike.row)
-            for alike, first in zip(self._asked(asks), self._first[:-1], strict=True)
-        ]
-        return Alike.joined(found).best(count)
+            alike = shard.screened(screens, there, count, least, told)
+            return replace(alike, row=first + alike.row)
+
+        for alike in self._asked(partial(screened, number) for number in range(len(self._shards))):
+            kept = Alike.joined([kept, alike])
+            if len(kept) > count:
+                # Shards that are asked later need not answer with places that are worse.
+                kept = kept.best(count)
+                least = float(kept.score[-1])
+        return kept.best()
 
     def _rescored(self, screens: Sequence[Screen], rows: IntArray) -> Float32Array:
         """Return the sums of photos' scores at places (M,)."""

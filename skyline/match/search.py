@@ -106,13 +106,13 @@ class FullMatcher(SearchMethod):
             areas = [replace(area, scene=None) for area in areas]
         return cls(areas)
 
-    def by_shards(self, shards: Sequence[Sequence[Shard]]) -> "FullMatcher":
+    def by_shards(self, shards: Sequence[Sequence[Shard]], at_once: int) -> "FullMatcher":
         """Return this matcher with other shards, by area; see `SearchMethod.by_shards`."""
         areas = [
             replace(area, shards=its_shards)
             for area, its_shards in zip(self._areas, shards, strict=True)
         ]
-        return FullMatcher(areas, at_once=sum(map(len, shards)))
+        return FullMatcher(areas, at_once)
 
     def eyes(self) -> Viewpoints:
         """Return the eyes of the places; of very many, every n-th.

@@ -4,6 +4,7 @@ A search ranks the places of all shards together. It asks each shard for scores,
 the shard's own places, and chooses among what it gets. A shard keeps nothing about a photo.
 """
 
+import math
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -76,18 +77,21 @@ class Shard:
         screens: Sequence[Screen],
         priors: Sequence[Prior],
         count: int,
+        least: float = -math.inf,
         report: ReportProgress = silent,
     ) -> Alike:
         """Return the best ``count`` places for photos, whose scores are added.
 
-        The places lie within the narrowings of all priors, which are in the shard's frame.
+        The places lie within the narrowings of all priors, which are in the shard's frame, and have
+        scores of ``least`` or more.
         """
 
         def contains(some: Places) -> BoolArray:
             return np.asarray(np.all([prior.contains(some) for prior in priors], axis=0))
 
         scores = _sum_of(screens)
-        return screen_places(scores, self._places, count, contains, report)
+        found = screen_places(scores, self._places, count, contains, report)
+        return found[found.score >= least]
 
     def rescored(self, screens: Sequence[Screen], rows: IntArray) -> Float32Array:
         """Return the sums of photos' scores at places (M,), in order."""

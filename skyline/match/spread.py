@@ -6,6 +6,7 @@ another one can answer in its place: if it dies, that one is asked. The answers 
 process, to the bit.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -35,6 +36,16 @@ _PARTS_A_WORKER = 4
 share of them."""
 
 
+@dataclass(frozen=True, slots=True)
+class Part:
+    """Rows of an area's places, and the number of the worker that is asked about them."""
+
+    area: int
+    first: int
+    stop: int
+    worker: int
+
+
 class OpenAreas:
     """The areas of stores, opened on a worker; ``stores`` and ``dem`` are as for `Matcher`."""
 
@@ -42,12 +53,14 @@ class OpenAreas:
         self._areas: list[tuple[PlaceMap, Ground | None]] = []
         for group in by_model(stores):
             with open_joined(group) as file:
-                given = None if dem is None else file.header.read_dem(dem)
-                terrain = given or terrain_at_hand(file.header, "answers unrefined")
+                if dem is None:
+                    terrain = terrain_at_hand(file.header, "answers unrefined")
+                else:
+                    terrain = file.header.read_dem(dem)
                 ground = None if terrain is None else ground_of(terrain)
                 self._areas.append((file.places(), ground))
 
-    def shard(self, part: "_Part") -> Shard:
+    def shard(self, part: Part) -> Shard:
         """Return a part of an area."""
         places, ground = self._areas[part.area]
         return Shard(PartOfPlaces(places, part.first, part.stop), ground)
@@ -56,20 +69,10 @@ class OpenAreas:
         """Free nothing: the files are mapped."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Part:
-    """Rows of an area's places, for one worker."""
-
-    area: int
-    first: int
-    stop: int
-    worker: int
-
-
 class DistantShard(Shard):
     """A part of the places of an area that a worker searches."""
 
-    def __init__(self, runner: Runner, opening: Opening[OpenAreas], part: _Part) -> None:
+    def __init__(self, runner: Runner, opening: Opening[OpenAreas], part: Part) -> None:
         self._runner = runner
         self._opening = opening
         self._part = part
@@ -87,10 +90,11 @@ class DistantShard(Shard):
         screens: Sequence[Screen],
         priors: Sequence[Prior],
         count: int,
+        least: float = -math.inf,
         report: ReportProgress = silent,
     ) -> Alike:
         """See `Shard.screened`; nothing is reported."""
-        alike: Alike = self._ask("screened", screens, priors, count)
+        alike: Alike = self._ask("screened", screens, priors, count, least)
         return alike
 
     def rescored(self, screens: Sequence[Screen], rows: IntArray) -> Float32Array:
@@ -115,33 +119,31 @@ class DistantShard(Shard):
         return self._runner.ask(_answer, self._opening, item, self._part.worker)
 
 
-def _answer(areas: OpenAreas, item: tuple[_Part, str, Any], _: Tell) -> Any:
+def _answer(areas: OpenAreas, item: tuple[Part, str, Any], _: Tell) -> Any:
     """Return what a shard answers, on a worker."""
     part, what, given = item
     with one_blas_thread():
         return getattr(areas.shard(part), what)(*given)
 
 
-def distant_shards(
-    runner: Runner, stores: Sequence[str | Path], rows: Sequence[int], dem: Any = None
-) -> list[list[DistantShard]]:
-    """Return the shards of stores' areas, each with a part of the places.
+def opening_of(stores: Sequence[str | Path], dem: Any = None) -> Opening[OpenAreas]:
+    """Return how workers open stores, which they find under the same paths.
 
-    All workers have as many places. They find the stores and the DEM under the same paths.
-
-    Parameters
-    ----------
-    runner : Runner
-    stores : sequence of path
-    rows : sequence of int
-        Number of places of each area.
-    dem : paths, optional
-        As for `Matcher`.
+    ``dem`` holds paths, as for `Matcher`.
     """
     paths = tuple(Path(one).absolute() for one in stores)
     # A worker that outlives this process must not take a file for the one it has replaced.
     versions = tuple(map(version_of, [*paths, *map(Path, dem or ())]))
-    opening = Opening((versions, paths, dem), partial(OpenAreas, paths, dem))
+    return Opening((versions, paths, dem), partial(OpenAreas, paths, dem))
+
+
+def distant_shards(
+    runner: Runner, opening: Opening[OpenAreas], rows: Sequence[int]
+) -> list[list[DistantShard]]:
+    """Return the shards of areas with so many places each.
+
+    All workers have as many places.
+    """
     blocks = max(1, -(-sum(rows) // (_PARTS_A_WORKER * max(runner.workers, 1) * PLACES_A_CHUNK)))
     shards = []
     number = 0
@@ -149,7 +151,7 @@ def distant_shards(
         starts = range(0, count, blocks * PLACES_A_CHUNK)
         some = []
         for first in starts:
-            part = _Part(area, first, min(first + starts.step, count), number)
+            part = Part(area, first, min(first + starts.step, count), number)
             some.append(DistantShard(runner, opening, part))
             number += 1
         shards.append(some)

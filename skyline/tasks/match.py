@@ -29,7 +29,7 @@ from skyline.match.config import MatchConfig
 from skyline.match.matcher import FULL, Matcher
 from skyline.match.method import MATCHERS
 from skyline.match.result import JointResult, MatchResult
-from skyline.match.spread import distant_shards
+from skyline.match.spread import distant_shards, opening_of
 from skyline.peaks import Peaks, read_peaks
 from skyline.photo.image import EXPECTED
 from skyline.photo.skyline import PhotoSkyline
@@ -246,9 +246,11 @@ class _Run:
                 progress(0, len(usable))
                 each = match_here(matcher, usable)
                 if runner is not None and task.split:
+                    opening = opening_of(task.stores, dem_names(task.dem) or None)
                     rows = [area.rows for area in matcher.areas]
-                    tiles = dem_names(task.dem) or None
-                    matcher.search_by(distant_shards(runner, task.stores, rows, tiles))
+                    shards = distant_shards(runner, opening, rows)
+                    # A worker has its next part at hand when it is done with one.
+                    matcher.search_by(shards, 2 * max(runner.workers, 1))
                 elif runner is not None:
                     each = match_many(runner, task.opening, usable)
                 found = self._show_each(known, refused, each, progress)

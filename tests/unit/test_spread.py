@@ -10,7 +10,7 @@ from store_rows import PLACES_HEADER
 
 from skyline.match.retrieval import Retriever
 from skyline.match.shard import Shard
-from skyline.match.spread import distant_shards
+from skyline.match.spread import distant_shards, opening_of
 from skyline.store.layout import columns_of
 from skyline.store.read import open_store
 from skyline.store.write import write_store
@@ -42,7 +42,7 @@ def store(tmp_path_factory):
 def test_workers_find_what_one_process_finds_to_the_bit(store):
     """Three parts, of 1024, 1024 and 952 places."""
     runner = HereRunner(2)
-    (shards,) = distant_shards(runner, [store], [3000])
+    (shards,) = distant_shards(runner, opening_of([store]), [3000])
     assert [len(shard) for shard in shards] == [1024, 1024, 952]
     spread = list(Retriever([shards], at_once=3).shortlists(rays(3, 77.0), 20))
     with open_store(store) as file:
@@ -56,6 +56,6 @@ def test_workers_find_what_one_process_finds_to_the_bit(store):
 
 def test_areas_are_cut_where_they_begin():
     """Two workers of four parts each, of 6 blocks: a part has one block."""
-    west, east = distant_shards(HereRunner(2), [], [1500, 4000])
+    west, east = distant_shards(HereRunner(2), opening_of([]), [1500, 4000])
     assert [len(shard) for shard in west] == [1024, 476]
     assert [len(shard) for shard in east] == [1024, 1024, 1024, 928]
