@@ -1,7 +1,8 @@
 """Shards: one process against workers, each with a part of the places, up to a million km2.
 
-Areas of that size are simulated: one store counts as the store of many areas, of frames of their
-own. All processes so map the same file; what they would map of real stores is computed.
+Areas of that size are simulated: one store counts as many stores of an area, and as those of many
+areas, of frames of their own. All processes so map the same file; what they would map of real
+stores is computed.
 """
 
 import os
@@ -13,12 +14,14 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib import import_module
+from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 from typer import Option
 
 from skyline import MatchConfig, build_places, open_store, read_dem
+from skyline.arrays import IntArray, UInt8Array
 from skyline.cli.terminal import Terminal
 from skyline.geodesy.map_frame import Frame
 from skyline.match.prior import NOTHING_KNOWN
@@ -29,6 +32,9 @@ from skyline.match.search import one_blas_thread
 from skyline.match.shard import Shard
 from skyline.match.spread import OpenAreas, Part, distant_shards
 from skyline.pose import Poses
+from skyline.store.layout import PLACES_A_CHUNK
+from skyline.store.mapped_places import PlaceMap
+from skyline.store.places import Places
 from skyline.store.read import Store
 from skyline.survey.cluster import Opening, Runner, local_cluster
 from skyline.terrain.heightfield import HeightField, ground_of
@@ -37,6 +43,8 @@ from skyline_bench import options
 from skyline_bench.measuring import Row, peak_bytes, square_km
 from skyline_bench.queries.synthetic import make_queries
 
+_AREA_KM2 = 1e5
+"""Size of an area, as of the stores of nine to forty tiles."""
 _LISTED = 400
 """Poses of a short list, as of a search of few places."""
 
@@ -49,7 +57,7 @@ def shards(
     workers: Annotated[int, Option(min=1, help="Workers.")] = 2,
     seed: options.Seed = 0,
     folder: options.Folder = None,
-    quick: Annotated[bool, options.quick_with(places=2000, km2=[2000.0])] = False,
+    quick: Annotated[bool, options.quick_with(places=2000, km2=[2e4])] = False,
     crs: options.Crs = None,
 ) -> None:
     """Screening and fits of a photo by one process and by workers, and if a worker is killed.
@@ -81,8 +89,41 @@ def _client(cluster: Any) -> Iterator[Any]:
         yield client
 
 
+class _Again(PlaceMap):
+    """Whole blocks of places, again and again, as the places of one area."""
+
+    def __init__(self, places: PlaceMap, copies: int) -> None:
+        self._places = places
+        self._blocks = len(places) // PLACES_A_CHUNK
+        self._copies = copies
+
+    @property
+    def _rows(self) -> int:
+        return self._blocks * PLACES_A_CHUNK
+
+    def __len__(self) -> int:
+        return self._copies * self._rows
+
+    def blocks(self, first: int = 0, stop: int | None = None) -> Iterator[Places]:
+        stop = len(self) if stop is None else stop
+        for start in range(first, stop, PLACES_A_CHUNK):
+            row = start % self._rows
+            yield from self._places.blocks(row, row + PLACES_A_CHUNK)
+
+    def phases(self, rows: IntArray) -> UInt8Array:
+        return self._places.phases(rows % self._rows)
+
+    def take(self, rows: IntArray) -> Places:
+        return self._places.take(rows % self._rows)
+
+
 class _SameArea(OpenAreas):
-    """A store that counts as that of every area."""
+    """A store that counts as so many stores of every area."""
+
+    def __init__(self, store: Path, files: tuple[str, ...], copies: int) -> None:
+        super().__init__([store], files)
+        ((places, ground),) = self._areas
+        self._areas = [(_Again(places, copies), ground)]
 
     def shard(self, part: Part) -> Shard:
         return super().shard(replace(part, area=0))
@@ -94,11 +135,9 @@ class _Search:
     def __init__(self, terrain: HeightField, store: Store, runner: Runner, seed: int) -> None:
         self._terrain = terrain
         self._runner = runner
-        self._bytes = store.path.stat().st_size
-        files = store.header.dem_files
-        given = partial(_SameArea, [store.path], files)
-        key = str(store.path), files
-        self._opening: Opening[OpenAreas] = Opening(key, given)
+        self._row = store.path.stat().st_size / len(store)
+        self._path = store.path
+        self._files = store.header.dem_files
         self._places = store.places()
         eyes = store.eyes()
         east_m, north_m = eyes.easting_m, eyes.northing_m
@@ -109,15 +148,22 @@ class _Search:
 
     def rows(self, km2: float) -> Sequence[Row]:
         """Return the figures of an area, by process."""
-        copies = max(1, round(km2 / self._km2))
-        frames = [Frame.local(lon=-170.0 + 340.0 * k / copies, lat=45.0) for k in range(copies)]
-        frames = frames if copies > 1 else []
-        shard = Shard(self._places, ground_of(self._terrain))
-        here = Retriever([[shard]] * copies, frames)
-        far = distant_shards(self._runner, self._opening, [len(self._places)] * copies)
+        areas = max(1, round(km2 / _AREA_KM2))
+        copies = max(1, round(km2 / areas / self._km2))
+        frames = [Frame.local(lon=-170.0 + 340.0 * k / areas, lat=45.0) for k in range(areas)]
+        frames = frames if areas > 1 else []
+        places = _Again(self._places, copies)
+        shard = Shard(places, ground_of(self._terrain))
+        here = Retriever([[shard]] * areas, frames)
+        opening: Opening[OpenAreas] = Opening(
+            (self._path, copies), partial(_SameArea, self._path, self._files, copies)
+        )
+        far = distant_shards(self._runner, opening, [len(places)] * areas)
         there = Retriever(far, frames, at_once=2 * self._runner.workers)
-        self._found(Retriever(far[:1]))  # Workers open the store and the DEM.
-        about = {"km2": copies * self._km2, "places": len(here), "bytes": copies * self._bytes}
+        for some in far[0][: self._runner.workers]:
+            some.take(np.zeros(1, dtype=np.intp))  # The worker opens the store and the DEM.
+        km2 = areas * copies * self._km2
+        about = {"km2": km2, "areas": areas, "places": len(here), "bytes": len(here) * self._row}
         one, alone = self._measured(here)
         whole = about | {"process": "one", **alone[0], "seconds": one.seconds}
         spread, by_process = self._measured(there)

@@ -62,11 +62,12 @@ _SLACK = 4
 _BLOCKS_AT_ONCE = 16
 """Blocks that a thread takes. With one, two threads spend half their time waiting for the GIL."""
 _PLACES_AT_ONCE = 1024
-"""Places scored together, so that memory does not grow with the number of places. Fewer are filled
-up to this number: a product of matrices of another shape may round differently, and a score must
-not depend on the places that are scored with it."""
-TURNED_AT_ONCE = 512
-"""Places whose best turns are found together; keeps the arrays in the cache."""
+"""Places that a coarse screen compares together, so that memory does not grow with their number.
+Fewer are filled up to this number: a product of matrices of another shape may round differently,
+and a score must not depend on the places that are scored with it."""
+CHOSEN_AT_ONCE = 128
+"""Places that a fine screen compares together, filled up likewise. They are the best ones, which
+may be few in each shard."""
 
 
 Scores = Callable[[UInt8Array], Float32Array]
@@ -135,6 +136,7 @@ class Screen:
         coarse: bool = False,
     ) -> None:
         self._turn_step = _COARSE_TURNS if coarse else 1
+        self._at_once = _PLACES_AT_ONCE if coarse else CHOSEN_AT_ONCE
         every = np.ones(PHASE_BINS, dtype=bool)
         opened = every if open_turns is None else open_turns
         if coarse:
@@ -168,14 +170,14 @@ class Screen:
 
         The phases are (N, B).
         """
-        parts = range(0, len(phase), _PLACES_AT_ONCE)
-        found = (self._scores(phase[k : k + _PLACES_AT_ONCE]) for k in parts)
+        parts = range(0, len(phase), self._at_once)
+        found = (self._scores(phase[k : k + self._at_once]) for k in parts)
         return np.concatenate([np.zeros(0, dtype=np.float32), *found])
 
     def _scores(self, phase: UInt8Array) -> Float32Array:
         opened = self.open_turns.reshape(PHASE_BINS // _TURNS_AT_ONCE, -1)
         parts = np.flatnonzero(opened.any(axis=1))
-        filled = _filled(phase, _PLACES_AT_ONCE)
+        filled = _filled(phase, self._at_once)
         sums = self._sums(filled, slice(None) if len(parts) == len(opened) else parts)
         if not opened.all():
             sums += np.where(opened[parts], np.float32(0.0), -np.inf)[:, np.newaxis, np.newaxis]
@@ -194,7 +196,7 @@ class Screen:
         Where no open turn is left, the best one is returned again, with the score -inf. Headings
         are grid azimuths of the optical axis, degrees.
         """
-        sums = self._every_turn(_filled(phase, TURNED_AT_ONCE))[: len(phase)]
+        sums = self._every_turn(_filled(phase, CHOSEN_AT_ONCE))[: len(phase)]
         score = (sums - self.mean[:, np.newaxis]) * self.scale[:, np.newaxis]
         fov = score.argmax(axis=1)
         best = score.max(axis=1)

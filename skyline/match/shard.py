@@ -17,7 +17,7 @@ from skyline.match.fit import CurveFit, FitEffort
 from skyline.match.prior import Prior
 from skyline.match.rays import Rays, in_runs
 from skyline.match.screen import (
-    TURNED_AT_ONCE,
+    CHOSEN_AT_ONCE,
     Alike,
     ReportProgress,
     Scores,
@@ -99,10 +99,10 @@ class Shard:
 
     def best_turns(self, screen: Screen, rows: IntArray, count: int) -> Turns:
         """Return the best turns of places (M,)."""
-        groups = range(0, len(rows), TURNED_AT_ONCE)
+        groups = range(0, len(rows), CHOSEN_AT_ONCE)
 
         def found(k: int) -> Turns:
-            phase = self._places.phases(rows[k : k + TURNED_AT_ONCE])
+            phase = self._places.phases(rows[k : k + CHOSEN_AT_ONCE])
             heading_deg, fov, peak = screen.best_turns(phase, count)
             return Turns(heading_deg=heading_deg, fov=fov, peak=peak)
 
