@@ -2,8 +2,8 @@
 
 import math
 import sys
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from skyline.arrays import BoolArray, Float64Array, IntArray, Rows
 from skyline.camera import MOST_DISTORTION, WANDER_DEGREES, Camera, Projection
 from skyline.errors import InputError
 from skyline.geodesy.bounds import are_degrees, in_turn
-from skyline.geodesy.map_frame import Frame
+from skyline.geodesy.map_frame import Frame, geodesic_m
 from skyline.photo.skyline import PhotoSkyline
 from skyline.pose_errors import ASSUMED
 
@@ -117,6 +117,8 @@ class Pose:
     rank : int or None
         Rank among the candidates of its search, 1 for the best; None for a pose that no search
         found. A pose that was fitted better than a candidate, in its place, has its rank.
+    area : int
+        Number of the elevation model, in whose frame the pose is, among `Matcher.areas`.
     """
 
     lon: float
@@ -142,6 +144,7 @@ class Pose:
     terrain_share: float | None = None
     skyline_m: float | None = None
     rank: int | None = None
+    area: int = 0
 
     def __repr__(self) -> str:
         shown = (f"{name} {text}" for name, text in zip(COLUMNS, self.cells(), strict=True) if text)
@@ -212,7 +215,9 @@ class Pose:
         return "" if self.covariance is not None else ASSUMED.in_words(self.camera(photo))
 
     def distance_m(self, other: "Pose") -> float:
-        """Return the horizontal distance of another pose of the same frame, metres."""
+        """Return the horizontal distance of another pose, metres."""
+        if self.area != other.area:
+            return geodesic_m(self.lon, self.lat, other.lon, other.lat)
         return math.hypot(self.easting_m - other.easting_m, self.northing_m - other.northing_m)
 
     def turn_deg(self, other: "Pose") -> float:
@@ -222,8 +227,7 @@ class Pose:
     def is_same_answer(self, other: "Pose") -> bool:
         """Return whether another pose is the same answer.
 
-        Both are in one frame; the same answer is near, and looks the same way. A confidence is of
-        an answer.
+        The same answer is near, and looks the same way. A confidence is of an answer.
         """
         near = self.distance_m(other) <= RIGHT_WITHIN_M
         return near and self.turn_deg(other) <= SAME_VIEW_DEG
@@ -496,9 +500,22 @@ class FitFigures(Rows):
     """(M, 4) float64. Standard errors of heading, pitch, roll and field of view."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Sites(Rows):
+    """Where M poses are that were found in areas of several frames."""
+
+    area: IntArray
+    """(M,) intp. As in `Pose`."""
+    geocentric_m: Float64Array
+    """(M, 3) float64. See `Frame.geocentric_m`; by it poses of different areas are compared."""
+
+
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Poses(Rows):
-    """M poses of a camera in a frame, as matchers return them."""
+    """M poses of a camera in a frame, as matchers return them.
+
+    With ``sites``, each pose is in the frame of its own area.
+    """
 
     easting_m: Float64Array
     """(M,) float64. Easting of the eye in the frame."""
@@ -527,6 +544,8 @@ class Poses(Rows):
     """(M,) float64. Probability that a pose is right within 1 km; None if not estimated."""
     fits: FitFigures | None = None
     """Figures of poses that were fitted by rendering; None for others."""
+    sites: Sites | None = None
+    """Areas of poses that were found in several; None for poses of one frame."""
 
     @classmethod
     def of(cls, pose: Pose) -> "Poses":
@@ -552,16 +571,37 @@ class Poses(Rows):
             raise ValueError("these poses were not fitted by rendering, so they have no figures")
         return self.fits
 
-    def on_map(self, frame: Frame) -> tuple[Pose, ...]:
+    def areas(self) -> IntArray:
+        """Return the area (M,) of each pose; 0 where there is only one."""
+        if self.sites is None:
+            return np.zeros(len(self), dtype=np.intp)
+        return self.sites.area
+
+    def sited(self, area: IntArray, frames: Sequence[Frame]) -> "Poses":
+        """Return the poses with their sites.
+
+        ``area`` (M,) are numbers of ``frames``.
+        """
+        geocentric_m = np.zeros((len(self), 3))
+        for number, frame in enumerate(frames):
+            mine = area == number
+            geocentric_m[mine] = frame.geocentric_m(self.easting_m[mine], self.northing_m[mine])
+        return replace(self, sites=Sites(area, geocentric_m))
+
+    def on_map(self, *frames: Frame) -> tuple[Pose, ...]:
         """Return each pose, best first, on the map.
 
-        ``frame`` is the frame of the eastings.
+        ``frames`` are those of the areas, by number.
         """
-        lon, lat = frame.to_lonlat(easting_m=self.easting_m, northing_m=self.northing_m)
-        convergence_deg = frame.convergence_deg(
-            easting_m=self.easting_m, northing_m=self.northing_m
-        )
+        lon, lat, convergence_deg = np.zeros((3, len(self)))
+        area = self.areas()
+        for number, frame in enumerate(frames):
+            mine = area == number
+            place = {"easting_m": self.easting_m[mine], "northing_m": self.northing_m[mine]}
+            lon[mine], lat[mine] = frame.to_lonlat(**place)
+            convergence_deg[mine] = frame.convergence_deg(**place)
         columns = self.columns()
+        columns.pop("sites")
         grid_heading_deg = columns.pop("grid_heading_deg")
         fits = columns.pop("fits")
         columns |= {
@@ -570,6 +610,7 @@ class Poses(Rows):
             "heading_deg": (grid_heading_deg + convergence_deg) % 360.0,
             "convergence_deg": convergence_deg,
             "rank": np.arange(1, len(self) + 1),
+            "area": area,
         }
         if fits is not None:
             for name in ("beyond_share", "residual_deg", "terrain_share", "skyline_m"):
@@ -588,8 +629,17 @@ class Poses(Rows):
 
     def distances_m(self) -> Float64Array:
         """Return the horizontal distances (M, M) between the poses."""
+        return self._distances_from_m((slice(None), np.newaxis))
+
+    def _distances_from_m(self, one: int | tuple[slice, None]) -> Float64Array:
+        """Return the distances of all poses from one, or from each in a row of its own."""
         place = self.easting_m + 1j * self.northing_m
-        return np.asarray(np.abs(place[:, np.newaxis] - place))
+        apart_m = np.asarray(np.abs(place[one] - place))
+        if self.sites is None:
+            return apart_m
+        area, geocentric_m = self.sites.area, self.sites.geocentric_m
+        chord_m = np.linalg.norm(geocentric_m[one] - geocentric_m, axis=-1)
+        return np.where(area[one] == area, apart_m, chord_m)
 
     def are_same(self, within_m: float, turn_deg: float) -> BoolArray:
         """Return which pairs of poses (M, M) are the same answer."""
@@ -616,7 +666,6 @@ class Poses(Rows):
         ``turn_deg`` of the same direction, or where its cost is infinite. Equal costs keep their
         order.
         """
-        place = self.easting_m + 1j * self.northing_m
         left = np.isfinite(self.cost)
         chosen: list[int] = []
         for index in np.argsort(self.cost, kind="stable"):
@@ -626,7 +675,7 @@ class Poses(Rows):
                 continue
             chosen.append(int(index))
             turn = np.abs(in_turn(self.grid_heading_deg - self.grid_heading_deg[index]))
-            left &= (np.abs(place - place[index]) >= separation_m) | (turn > turn_deg)
+            left &= (self._distances_from_m(int(index)) >= separation_m) | (turn > turn_deg)
             left[index] = False
         return np.array(chosen, dtype=np.intp)
 

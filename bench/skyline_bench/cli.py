@@ -15,6 +15,7 @@ from skyline_bench import (
     paper,
     photos,
     repeat,
+    shards,
     sky_view,
     speed,
     summits,
@@ -36,6 +37,7 @@ COMMANDS: Mapping[str, Mapping[Callable[..., None], str]] = {
         durability.input_fuzz: "a minute",
     },
     "One answer": {opening.opening: "5 minutes"},
+    "Large areas": {shards.shards: "10 minutes"},
     "Search": {command_of(name, search): search.takes for name, search in SEARCHES.items()},
     "Photographs": {
         orient.orient: "20 minutes",

@@ -59,8 +59,8 @@ def match(
             metavar="PHOTO",
             help="Photos, folders of them, sky masks (white = sky), CSV traces or lists, or - for "
             "the names of photos on standard input. A trace "
-            "begins with '# width=W height=H' and has the columns column_px,row_px. More stores of "
-            "the same DEM may be named before the photos; all stores are searched as one.",
+            "begins with '# width=W height=H' and has the columns column_px,row_px. More stores "
+            "may be named before the photos; all are searched as one.",
         ),
     ],
     fov_deg: FieldOfView = None,
@@ -99,6 +99,13 @@ def match(
         ),
     ] = None,
     workers: Workers = None,
+    split: Annotated[
+        bool,
+        Option(
+            "--split",
+            help="With --workers: all workers search for each photo, each in a part of the places.",
+        ),
+    ] = False,
 ) -> None:
     """Find where photos were taken and in which direction the camera looked."""
     stores, photos = split_stores(store, photo)
@@ -129,6 +136,7 @@ def match(
         surface=surface or (),
         same_place=same_place,
         workers=workers,
+        split=split,
         report=report,
         peaks=peaks,
         exports=export or (),

@@ -161,7 +161,8 @@ def weighed_by_contours(
     if photo.shades is None or photo.projection is not Projection.PERSPECTIVE:
         return tuple(candidates)
     gradients = _gradients_of(photo.shades, photo)
-    near = [one for one in candidates if _is_of_answer(one, best)]
+    # Where areas overlap, poses near the best one may be on another terrain model.
+    near = [one for one in candidates if one.area == best.area and _is_of_answer(one, best)]
     factors = [
         _factor(_deviations(_pieces_of(photo, one, terrain, curvature, gradients), gradients))
         for one in near

@@ -20,21 +20,22 @@ from skyline.match.config import MatchConfig
 from skyline.match.contours import weighed_by_contours
 from skyline.match.method import MATCHERS, SearchMethod
 from skyline.match.posterior import Posterior, posterior_of
-from skyline.match.prior import NOTHING_KNOWN, Narrowing, PlacePrior, Prior
+from skyline.match.prior import NOTHING_KNOWN, Narrowing, Prior
 from skyline.match.rays import Rays
 from skyline.match.refine import VIEW_WIDTH
 from skyline.match.result import TOP, JointResult, MatchResult
 from skyline.match.screen import ReportProgress, silent
+from skyline.match.shard import Shard
 from skyline.match.verdict import Verdict, candidate_reached, too_little
 from skyline.photo.image import Picture
 from skyline.photo.read import named_skyline
 from skyline.photo.skyline import PhotoSkyline
 from skyline.plugins import load
-from skyline.pose import Pose
+from skyline.pose import Pose, Poses
 from skyline.render.context import Closeable, RenderThread
 from skyline.render.horizon import RenderConfig, RenderedScene
 from skyline.store.layout import StoreHeader
-from skyline.store.merge import open_joined
+from skyline.store.merge import by_model, open_joined
 from skyline.store.read import Store
 from skyline.terrain.dem import Dem
 from skyline.terrain.heightfield import HeightField
@@ -50,6 +51,28 @@ _ALONE = "no other photo shows enough skyline to be compared with it"
 FULL = "full"
 
 
+@dataclass(frozen=True, slots=True)
+class MatchedArea:
+    """Stores of one DEM that a matcher searches.
+
+    Attributes
+    ----------
+    header : StoreHeader
+        The joint header of the stores.
+    frame : Frame
+        The frame of the places.
+    terrain : HeightField or None
+        The DEM; None if it is not at hand.
+    rows : int
+        Number of places, or of renderings.
+    """
+
+    header: StoreHeader
+    frame: Frame
+    terrain: HeightField | None
+    rows: int
+
+
 class Matcher(Closeable):
     """Matches skylines to a store, which is read once.
 
@@ -58,12 +81,14 @@ class Matcher(Closeable):
     Parameters
     ----------
     store : path or paths
-        Several stores, of one DEM and configuration, are searched as the one store that
-        `skyline.store.merge.merge_stores` writes of them.
+        Several stores are searched where they are. Those of one DEM have one configuration, and
+        are searched as the one store that `skyline.store.merge.merge_stores` writes of them. The
+        full matcher also searches stores of several DEMs, of any frames, as one.
     dem : path, paths, DataArray or HeightField, optional
         The DEM that the store was rendered from; by default it is read from the file that the store
-        names. The full matcher takes heights from it, and renders it for refinement. If it cannot
-        be read, a warning is logged and answers stay unrefined.
+        names, as it must be for stores of several. The full matcher takes heights from it, and
+        renders it for refinement. If it cannot be read, a warning is logged and answers stay
+        unrefined.
     matcher : str
         ``full``, which searches a store of places; ``paper`` or ``correlation``, which search a
         store of renderings; or the name of another package's, see `SearchMethod`.
@@ -81,11 +106,12 @@ class Matcher(Closeable):
     ------
     InputError
         The matcher's name is unknown, the store is not of the kind that the matcher searches, the
-        surface does not cover the DEM, or a surface is given to a matcher that does not refine.
+        surface does not cover the DEM, or a surface is given to a matcher that does not refine. A
+        DEM or a surface is given to stores of several DEMs, or the matcher does not search such.
     StoreError
         The store cannot be read, or angles are wrong on its map.
     StoreMismatchError
-        The store was rendered from another DEM, or the stores from different ones.
+        The store was rendered from another DEM, or stores of one DEM with other settings.
     """
 
     def __init__(
@@ -99,31 +125,86 @@ class Matcher(Closeable):
     ) -> None:
         method: type[SearchMethod] = load(MATCHERS, matcher)
         self._config = MatchConfig() if config is None else _instance("config", config, MatchConfig)
-        refine = self._config.refine
-        if surface is not None and not (method.renders and refine):
+        if surface is not None and not (method.renders and self._config.refine):
             raise InputError("a surface acts in refinement; use the full matcher, and refine")
         self.render_thread = render_thread
-        self._scene = None
-        with open_joined(paths_of(store)) as file:
-            self.header = header = file.header
-            self.rows = len(file)
-            self.holds = header.holds
-            if not self.rows:
-                raise InputError(f"store {file.path} holds no {self.holds}; build it first")
+        groups = by_model(paths_of(store))
+        if len(groups) > 1 and not (dem is None and surface is None):
+            raise InputError(
+                f"the stores are of {len(groups)} elevation models, which are read from the files "
+                "that they name; leave the DEM and the surface out"
+            )
+        self._scenes: list[RenderedScene] = []
+        opened = [self._opened(method, group, dem, surface) for group in groups]
+        if len(self._scenes) < len(groups):
+            # Costs of refined poses do not compare with others: all are refined, or none.
+            self.close()
+        self.areas = tuple(area for area, _ in opened)
+        self.rows = sum(area.rows for area in self.areas)
+        self.holds = method.holds
+        methods = [one for _, one in opened]
+        self._method = methods[0] if len(methods) == 1 else method.joined(methods)
+
+    def _opened(
+        self,
+        method: type[SearchMethod],
+        stores: Sequence[str | Path],
+        dem: Dem | None,
+        surface: Dem | None,
+    ) -> tuple[MatchedArea, SearchMethod]:
+        """Open the stores of one DEM; raises as the constructor."""
+        with open_joined(stores) as file:
+            header = file.header
+            if not len(file):
+                raise InputError(f"store {file.path} holds no {header.holds}; build it first")
             file.expect(method.holds)
-            self.frame = Frame(header.frame_wkt)
-            if not self.frame.is_local:
-                _check_frame(file, self.frame)
-            self.terrain = None if dem is None else header.read_dem(dem)
-            if method.renders and self.terrain is None:
-                self.terrain = terrain_at_hand(header, "answers unrefined")
-            if surface is not None and self.terrain is None:
+            frame = Frame(header.frame_wkt)
+            if not frame.is_local:
+                _check_frame(file, frame)
+            terrain = None if dem is None else header.read_dem(dem)
+            if method.renders and terrain is None:
+                terrain = terrain_at_hand(header, "answers unrefined")
+            if surface is not None and terrain is None:
                 raise InputError("a surface needs the store's DEM, which is not at hand; give it")
-            if method.renders and refine and self.terrain is not None:
-                over = None if surface is None else read_surface(surface, self.terrain)
+            scene = None
+            if method.renders and self._config.refine and terrain is not None:
+                over = None if surface is None else read_surface(surface, terrain)
                 rendering = RenderConfig(VIEW_WIDTH, curvature=header.curvature)
-                self._scene = RenderedScene(self.terrain, rendering, render_thread, over)
-            self._method = method.open(file, self.terrain, self._scene)
+                scene = RenderedScene(terrain, rendering, self.render_thread, over)
+                self._scenes.append(scene)
+            area = MatchedArea(header, frame, terrain, len(file))
+            return area, method.open(file, terrain, scene)
+
+    @property
+    def header(self) -> StoreHeader:
+        """The header of the store; raises as `only_area`."""
+        return self.only_area().header
+
+    @property
+    def frame(self) -> Frame:
+        """The frame of the store; raises as `only_area`."""
+        return self.only_area().frame
+
+    @property
+    def terrain(self) -> HeightField | None:
+        """The store's terrain, if it is at hand; raises as `only_area`."""
+        return self.only_area().terrain
+
+    def search_by(self, shards: Sequence[Sequence[Shard]], at_once: int) -> None:
+        """Search the places of each area by shards, as `skyline.match.spread` has them.
+
+        So many of them are asked ``at_once``.
+        """
+        self._method = self._method.by_shards(shards, at_once)
+
+    def only_area(self) -> MatchedArea:
+        """Return the one area that is searched; raises `InputError` if there are several."""
+        if len(self.areas) > 1:
+            raise InputError(
+                f"the stores are of {len(self.areas)} elevation models, and this needs one: name "
+                "stores of one"
+            )
+        return self.areas[0]
 
     @staticmethod
     def too_little(skyline: PhotoSkyline) -> str | None:
@@ -135,17 +216,18 @@ class Matcher(Closeable):
 
     @cached_property
     def viewpoints(self) -> Viewpoints:
-        """The eyes of the store, or an even selection of very many."""
+        """The eyes of the store, or an even selection of very many; raises as `only_area`."""
         return self._method.eyes()
 
     def __repr__(self) -> str:
-        refined = "answers refined" if self._scene is not None else "answers not refined"
+        refined = "answers refined" if self._scenes else "answers not refined"
         return f"Matcher({self.rows} {self.holds}, {refined})"
 
     def close(self) -> None:
         """Free the matcher's GPU memory; it cannot refine after that."""
-        if self._scene is not None:
-            self._scene.close()
+        for scene in self._scenes:
+            scene.close()
+        self._scenes.clear()
 
     def match(
         self,
@@ -193,7 +275,7 @@ class Matcher(Closeable):
         if verdict.refusal is None:
             rays, prior = self._rays_and_prior(skyline, narrowing)
             poses = self._method.search(rays, prior, max(top, TOP), report_progress)
-            candidates = self._weighed(poses.on_map(self.frame), skyline)[:top]
+            candidates = self._weighed(self._on_map(poses), skyline)[:top]
             other = None
             if candidates:
                 other = self._method.other_projection(rays, candidates[0], prior)
@@ -211,9 +293,15 @@ class Matcher(Closeable):
 
     def _weighed(self, candidates: tuple[Pose, ...], skyline: PhotoSkyline) -> tuple[Pose, ...]:
         """Return the candidates with the evidence of what a photo shows below its skyline."""
-        if self.terrain is None or not candidates:
+        if not candidates:
             return candidates
-        return weighed_by_contours(candidates, skyline, self.terrain, self.header.curvature)
+        area = self.areas[candidates[0].area]
+        if area.terrain is None:
+            return candidates
+        return weighed_by_contours(candidates, skyline, area.terrain, area.header.curvature)
+
+    def _on_map(self, poses: Poses) -> tuple[Pose, ...]:
+        return poses.on_map(*(area.frame for area in self.areas))
 
     def match_together(
         self,
@@ -349,7 +437,7 @@ class Matcher(Closeable):
             return {}
         together, agrees = self._method.search_together(list(usable.values()), top, report)
         return {
-            number: poses.on_map(self.frame)
+            number: self._on_map(poses)
             for number, poses, belongs in zip(usable, together, agrees, strict=True)
             if belongs and len(poses)
         }
@@ -418,7 +506,7 @@ class Matcher(Closeable):
         rays, prior = self._rays_and_prior(skyline, narrowing)
         rays_about_start, _ = self._rays_and_prior(about_start, None)
         poses = self._method.fitted(rays, start, prior, rays_about_start)
-        return next(iter(poses.on_map(self.frame)), None)
+        return next(iter(self._on_map(poses)), None)
 
     def _rays_and_prior(
         self, skyline: PhotoSkyline, narrowing: Narrowing | None
@@ -437,8 +525,8 @@ class Matcher(Closeable):
             return rays, NOTHING_KNOWN
         if narrowing.eye_height_m is None:
             narrowing = replace(narrowing, eye_height_m=skyline.eye_height_m)
-        noted = PlacePrior.of_noted(skyline.noted, self.frame) if narrowing.use_gps else None
-        return rays, Prior.of(narrowing, self.frame, noted)
+        exif = skyline.noted if narrowing.use_gps else None
+        return rays, Prior.of(narrowing, self.areas[0].frame, exif)
 
 
 @dataclass(frozen=True, slots=True)

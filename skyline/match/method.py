@@ -11,6 +11,7 @@ from skyline.match.posterior import AlikePlaces
 from skyline.match.prior import Prior
 from skyline.match.rays import Rays
 from skyline.match.screen import ReportProgress, silent
+from skyline.match.shard import Shard
 from skyline.pose import Pose, Poses
 from skyline.render.horizon import RenderedScene
 from skyline.store.read import Store
@@ -47,6 +48,24 @@ class SearchMethod(ABC):
 
         The store is not empty, and is closed afterwards.
         """
+
+    @classmethod
+    def joined(cls, methods: Sequence[Self]) -> Self:
+        """Return one method for the areas of several, each of another elevation model.
+
+        Its poses have `Poses.sites`, with the areas in the order of ``methods``.
+        """
+        raise InputError(
+            f"this matcher searches stores of one elevation model, and these are of {len(methods)};"
+            " use the full matcher, or search them one after another"
+        )
+
+    def by_shards(self, shards: Sequence[Sequence[Shard]], at_once: int) -> Self:
+        """Return this method with places in other processes, by area.
+
+        So many shards are asked ``at_once``.
+        """
+        raise InputError("only the full matcher can search by parts of the places")
 
     @abstractmethod
     def eyes(self) -> Viewpoints:

@@ -13,6 +13,7 @@ and a distant place is never less likely than in a search of area A without a no
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -97,6 +98,8 @@ class _Aloft:
 _ALOFT = _Aloft()
 _LEAST_SD_M = 1e-6
 """Stands for the scale 0 of a known height, by which nothing can be divided."""
+_FAR_M = 1e9
+"""Stands for a place that is not on a map."""
 _GREATEST_SD = 20.0
 """Greatest height of an eye above the usual one that is tried, in scales of its prior."""
 _CONVERGENCE_DEG = 5.0
@@ -428,13 +431,18 @@ class Prior:
     """Rectangle that contains the narrowing's bounds."""
     noted: PlacePrior | None = None
     """Prior from the photo's EXIF."""
+    exif: NotedPlace | None = None
+    """The EXIF that ``noted`` is from."""
+    is_near_noted: bool = False
+    """Whether a searched place lies in the surroundings of the noted one."""
 
     @classmethod
-    def of(cls, narrowing: Narrowing, frame: Frame, noted: PlacePrior | None = None) -> "Prior":
+    def of(cls, narrowing: Narrowing, frame: Frame, exif: NotedPlace | None = None) -> "Prior":
         """Return a narrowing in a frame, with the prior from EXIF.
 
         Raises as `Frame.rectangle_m`.
         """
+        noted = None if exif is None else PlacePrior.of_noted(exif, frame)
         rectangle = None
         circles: tuple[tuple[float, float, float], ...] = ()
         if narrowing.near is not None:
@@ -442,7 +450,23 @@ class Prior:
             circles = ((float(east), float(north), 1000.0 * narrowing.near[2]),)
         if narrowing.bounds_deg is not None:
             rectangle = frame.rectangle_m(narrowing.bounds_deg)
-        return cls(narrowing, frame, circles, rectangle, noted)
+        return cls(narrowing, frame, circles, rectangle, noted, exif)
+
+    def in_frames(self, frames: Sequence[Frame]) -> "list[Prior]":
+        """Return this prior in each of several frames, of which its own is the first.
+
+        With one frame, or none, it is the prior as it is.
+        """
+        if len(frames) < 2:
+            return [self]
+        others = (Prior.of(self.narrowing, frame, self.exif) for frame in frames[1:])
+        priors = [self, *(replace(one, is_near_noted=self.is_near_noted) for one in others)]
+        noted = next((prior.noted for prior in priors if prior.noted is not None), None)
+        if noted is None:
+            return priors
+        # A frame that does not reach the noted place is far from it, and so costs as much.
+        far = replace(noted, easting_m=_FAR_M, northing_m=_FAR_M, grid_heading_deg=None)
+        return [replace(prior, noted=prior.noted or far) for prior in priors]
 
     @property
     def open_turns(self) -> BoolArray | None:
@@ -459,7 +483,7 @@ class Prior:
         if self.narrowing.elevation_m is not None:
             low, high = self.narrowing.elevation_m
             inside &= (positions.eye_elevation_m >= low) & (positions.eye_elevation_m <= high)
-        for east, north, radius_m in self.circles_m:
+        for east, north, radius_m in (*self.circles_m, *self._noted_circles_m()):
             inside &= (easting_m - east) ** 2 + (northing_m - north) ** 2 <= radius_m**2
         if self.rectangle_m is not None:
             west, south, east, north = self.rectangle_m
@@ -481,11 +505,14 @@ class Prior:
 
     def near_noted(self) -> "Prior | None":
         """Return this prior narrowed to the noted place's surroundings, or None."""
-        if self.noted is None:
-            return None
+        return None if self.noted is None else replace(self, is_near_noted=True)
+
+    def _noted_circles_m(self) -> list[tuple[float, float, float]]:
+        """Return the circle of the noted place's surroundings, if it counts."""
+        if not self.is_near_noted or self.noted is None:
+            return []
         radius_m = _EXIF.reach_m + _EXIF.reach_sds * self.noted.sd_m
-        circle = self.noted.easting_m, self.noted.northing_m, radius_m
-        return replace(self, circles_m=(*self.circles_m, circle))
+        return [(self.noted.easting_m, self.noted.northing_m, radius_m)]
 
     def swap_hint(self, places: Places) -> str:
         """Return a hint that longitudes and latitudes are swapped.

@@ -15,6 +15,7 @@ following. Where terrain is near, even the right place may look wrong until the 
 the likeliest poses by their costs move before they are compared with others.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -385,6 +386,26 @@ class Refinement:
         rays = self.fine.rays
         fov_deg = np.abs(rays.fov_at(scale + off) - rays.fov_at(scale - off)) / 2.0
         return np.column_stack([np.degrees(sd[:, HEADING : ROLL + 1]), fov_deg])
+
+
+def together(parts: Sequence[Poses], count: int) -> Poses:
+    """Return the best distinct poses of several refinements, best first.
+
+    Their margins are over all of them. The parts are of one photo, each from another area.
+    """
+    if len(parts) == 1:
+        return parts[0]
+    some = [part for part in parts if len(part)] or parts[:1]
+    poses = Poses.concatenate(some)
+    poses = poses[best_and_rivals(poses, count, SAME_VIEW_DEG)]
+    return replace(
+        poses,
+        fits=replace(
+            poses.figures(),
+            margin=poses.rival_margin(RIGHT_WITHIN_M, SAME_VIEW_DEG),
+            far_margin=poses.rival_margin(ROUGHLY_WITHIN_M, SAME_VIEW_DEG),
+        ),
+    )
 
 
 def spread_m2(poses: Poses, covariance_m2: Float64Array) -> Float64Array:

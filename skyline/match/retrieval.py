@@ -10,34 +10,28 @@ photos. The last short list is of all places that are worth a fit.
 """
 
 import math
-import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import pairwise
+from typing import Any, TypeVar
 
 import numpy as np
 
-from skyline.arrays import BoolArray, Float32Array, Float64Array, Rows
+from skyline.arrays import BoolArray, Float32Array, Float64Array, IntArray
 from skyline.errors import InputError
-from skyline.match.fit import GOOD_FIT, ROUGH_FIT, CurveFit, FitEffort
+from skyline.geodesy.map_frame import Frame
+from skyline.match.fit import GOOD_FIT, ROUGH_FIT, FitEffort
 from skyline.match.posterior import AlikePlaces
 from skyline.match.prior import NOTHING_KNOWN, Prior
-from skyline.match.rays import REFERENCE_FOV_DEG, Rays, in_runs
-from skyline.match.screen import (
-    Alike,
-    ReportProgress,
-    Scores,
-    Screen,
-    rescored,
-    screen_places,
-    silent,
-)
+from skyline.match.rays import REFERENCE_FOV_DEG, Rays
+from skyline.match.screen import Alike, ReportProgress, Screen, silent
+from skyline.match.shard import Shard, Starts, Turns
 from skyline.pose import Poses
-from skyline.store.mapped_places import PlaceSource
 from skyline.store.places import Places
-from skyline.terrain.heightfield import Ground, ground_slope
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,32 +86,94 @@ class RetrievalEffort:
 
 
 _EFFORT = RetrievalEffort()
-_FITS_AT_ONCE = 2048
-"""Poses fitted together. With 256, two threads spend half their time waiting for the GIL."""
-_PLACES_AT_ONCE = 512
-"""Places whose best turns are found together; keeps the arrays in the cache."""
 
 
 class Retriever:
-    """Finds short lists of poses among places.
+    """Finds short lists of poses among the places of shards.
 
-    Without ``ground`` the ground around each place is taken to be level.
+    Places are ranked together, whatever their shards. Rows are counted through all shards, one
+    after another.
+
+    Parameters
+    ----------
+    areas : sequence of sequence of Shard
+        The shards of each elevation model, which share its frame.
+    frames : sequence of Frame
+        The frames, by area. One area alone needs none.
+    at_once : int
+        Shards that are asked at a time; shards of this process take all of its cores.
     """
 
-    def __init__(self, places: PlaceSource, ground: Ground | None = None) -> None:
-        self.places = places
-        self._ground = ground
-        share = math.ceil(_EFFORT.rough_share * len(places))
+    def __init__(
+        self, areas: Sequence[Sequence[Shard]], frames: Sequence[Frame] = (), at_once: int = 1
+    ) -> None:
+        self._at_once = at_once
+        self._shards = [shard for shards in areas for shard in shards]
+        self._area = np.repeat(np.arange(len(areas)), [len(shards) for shards in areas])
+        self._frames = frames
+        self._first = np.cumsum([0, *map(len, self._shards)])
+        share = math.ceil(_EFFORT.rough_share * len(self))
         self._rough = min(max(share, _EFFORT.rough_least), _EFFORT.rough_most)
+
+    def __len__(self) -> int:
+        return int(self._first[-1])
 
     def sample(self, count: int) -> Places:
         """Return some ``count`` places, the same ones in every process."""
-        step = max(1, len(self.places) // count)
-        return self.places.take(np.arange(0, len(self.places), step, dtype=np.intp))
+        step = max(1, len(self) // count)
+        rows = np.arange(0, len(self), step, dtype=np.intp)
+        return self._of_each(rows, lambda shard, _, mine: shard.take(mine), Places.concatenate)
 
     @cached_property
     def _sample(self) -> Places:
         return self.sample(_EFFORT.sample)
+
+    def allowed(self, prior: Prior, poses: Poses) -> BoolArray:
+        """Return which poses (M,) a narrowing allows."""
+        if poses.sites is None:
+            return prior.allows(poses)
+        allowed = np.zeros(len(poses), dtype=bool)
+        for area, its_prior in enumerate(prior.in_frames(self._frames)):
+            mine = np.flatnonzero(poses.sites.area == area)
+            allowed[mine] = its_prior.allows(poses[mine])
+        return allowed
+
+    def _shard_of(self, rows: IntArray) -> IntArray:
+        """Return the numbers (M,) of the shards that hold places."""
+        return np.searchsorted(self._first, rows, side="right") - 1
+
+    def _asked(self, asks: Iterable[Callable[[], T]]) -> Iterator[T]:
+        """Yield the answers of shards, in order."""
+        if self._at_once == 1:
+            yield from (ask() for ask in asks)
+            return
+        with ThreadPoolExecutor(self._at_once) as pool:
+            yield from pool.map(lambda ask: ask(), asks)
+
+    def _of_each(
+        self,
+        rows: IntArray,
+        ask: Callable[[Shard, IntArray, IntArray], T],
+        concatenate: Callable[[list[T]], T],
+    ) -> T:
+        """Return what shards answer about places (M,), in the order of the places.
+
+        ``ask`` takes a shard, the indices of its places in ``rows``, and their rows in the shard.
+        """
+        number = self._shard_of(rows)
+        asked = np.unique(number).tolist() if len(rows) else [0]
+        at = [np.flatnonzero(number == one) for one in asked]
+        asks = (
+            partial(ask, self._shards[one], mine, rows[mine] - self._first[one])
+            for one, mine in zip(asked, at, strict=True)
+        )
+        parts = list(self._asked(asks))
+        if len(parts) == 1:
+            return parts[0]
+        back: Any = np.argsort(np.concatenate(at), kind="stable")
+        together: Any = concatenate(parts)
+        answer: T = together[back]
+        return answer
 
     def shortlist(
         self,
@@ -146,11 +202,10 @@ class Retriever:
         best: list[Poses] = []
         counts = (_EFFORT.first, self._rough)
         for alike in self._screened([self._screens(rays, prior)], [prior], counts, report):
-            places = self.places.take(alike.row)
-            starts = math.ceil(_EFFORT.starts * len(places))
-            start = self._start(rays, prior, places, alike.score, starts)
+            starts = math.ceil(_EFFORT.starts * len(alike))
+            start = self._start(rays, prior, alike, starts)
             fitted = self._fitted([rays], [start], _good_count(len(start)), report)[0]
-            best.append(fitted[prior.allows(fitted)])
+            best.append(fitted[self.allowed(prior, fitted)])
             poses = Poses.concatenate(best)
             distinct = poses.suppress_non_maxima(count, _EFFORT.separation_m, _EFFORT.same_turn_deg)
             best = [poses[distinct]]
@@ -169,68 +224,89 @@ class Retriever:
         ``counts`` says of how many places each list is, the places of earlier lists included; there
         are fewer if fewer lie within the narrowings. Raises `InputError` where none does.
         """
-        coarse, fine = (_sum_of(level) for level in zip(*screens, strict=True))
-        ranked = screen_places(
-            coarse,
-            self.places,
-            _EFFORT.screened_again * counts[-1],
-            _within_all(priors),
-            report,
-        )
+        coarse, fine = zip(*screens, strict=True)
+        ranked = self._ranked(coarse, priors, _EFFORT.screened_again * counts[-1], report)
         if not len(ranked):
             raise self._no_place_error(priors)
         waiting = ranked[:0]
         for before, count in pairwise((0, *counts)):
             more = ranked[_EFFORT.screened_again * before : _EFFORT.screened_again * count]
             # Places that did not get into the list before this one compete again.
-            waiting = Alike.joined([waiting, rescored(fine, self.places, more)]).best()
+            again = Alike(more.row, self._rescored(fine, more.row))
+            waiting = Alike.joined([waiting, again]).best()
             part = waiting[: count - before]
             waiting = waiting[count - before :]
             if len(part):
                 yield part
+
+    def _ranked(
+        self,
+        screens: Sequence[Screen],
+        priors: Sequence[Prior],
+        count: int,
+        report: ReportProgress,
+    ) -> Alike:
+        """Return the best ``count`` places of all shards, best first."""
+        known = [prior.in_frames(self._frames) for prior in priors]
+        kept = Alike.joined([])
+        least = -math.inf
+
+        def screened(number: int) -> Alike:
+            shard = self._shards[number]
+            there = [its_priors[self._area[number]] for its_priors in known]
+            first = self._first[number]
+            told = partial(_report_part, report, first / len(self), len(shard) / len(self))
+            alike = shard.screened(screens, there, count, least, told)
+            return replace(alike, row=first + alike.row)
+
+        for alike in self._asked(partial(screened, number) for number in range(len(self._shards))):
+            kept = Alike.joined([kept, alike])
+            if len(kept) > count:
+                # Shards that are asked later need not answer with places that are worse.
+                kept = kept.best(count)
+                least = float(kept.score[-1])
+        return kept.best()
+
+    def _rescored(self, screens: Sequence[Screen], rows: IntArray) -> Float32Array:
+        """Return the sums of photos' scores at places (M,)."""
+        return self._of_each(
+            rows, lambda shard, _, mine: shard.rescored(screens, mine), np.concatenate
+        )
 
     def alike_places(
         self, photos: Sequence[tuple[Rays, Prior]], report: ReportProgress = silent
     ) -> AlikePlaces:
         """Return all places within the narrowings of photos of one eye, with their scores.
 
-        The scores are of the coarse screen, summed over the photos. Raises `InputError` where the
-        search is narrowed to no place.
+        The scores are of the coarse screen, summed over the photos. The places are of one area.
+        Raises `InputError` where the search is narrowed to no place.
         """
         priors = [prior for _, prior in photos]
-        coarse = _sum_of([self._screens(rays, prior)[0] for rays, prior in photos])
-        alike = screen_places(coarse, self.places, len(self.places), _within_all(priors), report)
+        coarse = [self._screens(rays, prior)[0] for rays, prior in photos]
+        asks = (partial(shard.alike_places, coarse, priors, report) for shard in self._shards)
+        alike = AlikePlaces.concatenate(list(self._asked(asks)))
         if not len(alike):
             raise self._no_place_error(priors)
-        easting_m, northing_m, half_m = (
-            np.concatenate(column)[alike.row]
-            for column in zip(
-                *((one.easting_m, one.northing_m, one.tolerance_m) for one in self.places.blocks()),
-                strict=True,
-            )
-        )
-        score = alike.score.astype(np.float64)
-        return AlikePlaces(easting_m, northing_m, half_m.astype(np.float64), score)
+        return alike
 
     def fitted_all_round(self, rays: Rays) -> Poses:
         """Return poses fitted to a photo at every place.
 
         They start from headings all the way round. The places are few, since none is screened out.
         """
-        places = self.places.take(np.arange(len(self.places), dtype=np.intp))
         row, heading_rad, log_scale = np.meshgrid(
-            np.arange(len(places)),
+            np.arange(len(self)),
             np.radians(np.arange(0.0, 360.0, _EFFORT.heading_step_deg)),
             _even_log_scales(rays, *rays.log_scale_bounds, _EFFORT.start_step),
             indexing="ij",
         )
-        start = _Start(
-            places=places[row.ravel()],
+        starts = Starts(
+            row=row.ravel(),
             score=np.zeros(row.size, dtype=np.float32),
             heading_rad=heading_rad.ravel(),
             log_scale=log_scale.ravel(),
         )
-        return self._fitted([rays], [start], _EFFORT.good_most, silent)[0]
+        return self._fitted([rays], [starts], _EFFORT.good_most, silent)[0]
 
     def shortlist_together(
         self,
@@ -249,13 +325,12 @@ class Retriever:
         priors = [prior for _, prior in photos]
         screens = [self._screens(rays, prior) for rays, prior in photos]
         alike = next(self._screened(screens, priors, [self._rough], report))
-        places = self.places.take(alike.row)
-        starts = [
-            self._start(rays, prior, places, fine.scores(places.phase), len(places), turns=1)
-            for (rays, prior), (_, fine) in zip(photos, screens, strict=True)
-        ]
+        starts = []
+        for (rays, prior), (_, fine) in zip(photos, screens, strict=True):
+            own = replace(alike, score=self._rescored([fine], alike.row))
+            starts.append(self._start(rays, prior, own, len(own), turns=1))
         every = [rays for rays, _ in photos]
-        found = self._fitted(every, starts, _good_count(len(places)), report)
+        found = self._fitted(every, starts, _good_count(len(alike)), report)
         shared = {
             "easting_m": np.mean([one.easting_m for one in found], axis=0),
             "northing_m": np.mean([one.northing_m for one in found], axis=0),
@@ -288,44 +363,35 @@ class Retriever:
         return Screen(rays, fovs_deg, self._sample, prior.open_turns, penalty, coarse=coarse)
 
     def _start(
-        self,
-        rays: Rays,
-        prior: Prior,
-        places: Places,
-        score: Float32Array,
-        count: int,
-        turns: int = _EFFORT.turns,
-    ) -> "_Start":
+        self, rays: Rays, prior: Prior, alike: Alike, count: int, turns: int = _EFFORT.turns
+    ) -> Starts:
         """Return up to ``count`` starts of fits, the best ones.
 
-        Each place offers its best ``turns``. Places are handled in small groups, because each is
-        compared at every turn.
+        Each place offers its best ``turns``.
         """
         log_scales = _likely_log_scales(rays, _EFFORT.start_step)
         screen = self._screen(rays, prior, log_scales)
-        groups = range(0, len(places), _PLACES_AT_ONCE)
-        with ThreadPoolExecutor(os.cpu_count()) as pool:
-            found = pool.map(
-                lambda k: screen.best_turns(places.phase[k : k + _PLACES_AT_ONCE], turns), groups
-            )
-            heading_deg, fov, peak = (
-                np.concatenate(part).ravel() for part in zip(*found, strict=True)
-            )
+        found = self._of_each(
+            alike.row,
+            lambda shard, _, mine: shard.best_turns(screen, mine, turns),
+            Turns.concatenate,
+        )
+        peak = found.peak.ravel()
         best = np.sort(np.argsort(-peak, kind="stable")[:count])
         # In a narrow range of headings a place may have fewer turns than are asked for.
         best = best[peak[best] > -np.inf]
-        row = best // turns
-        return _Start(
-            places=places[row],
-            score=score[row],
-            heading_rad=np.radians(heading_deg[best]),
-            log_scale=log_scales[fov[best]],
+        place = best // turns
+        return Starts(
+            row=alike.row[place],
+            score=alike.score[place],
+            heading_rad=np.radians(found.heading_deg.ravel()[best]),
+            log_scale=log_scales[found.fov.ravel()[best]],
         )
 
     def _fitted(
         self,
         photos: Sequence[Rays],
-        starts: Sequence["_Start"],
+        starts: Sequence[Starts],
         count: int,
         report: ReportProgress,
     ) -> list[Poses]:
@@ -345,48 +411,21 @@ class Retriever:
             for rays, start in zip(photos, starts, strict=True)
         ]
 
-    def _fits(
-        self, rays: Rays, start: "_Start", effort: FitEffort, report: ReportProgress
-    ) -> Poses:
-        means = in_runs(rays, effort.runs)
+    def _fits(self, rays: Rays, starts: Starts, effort: FitEffort, report: ReportProgress) -> Poses:
+        """Return the poses fitted from starts, in order, with their sites if there are several."""
 
-        def fitted(first: int) -> Poses:
-            part = start[slice(first, first + _FITS_AT_ONCE)]
-            fit = CurveFit(part.places, self._ground_slope(part.places), means, effort)
-            poses = fit.fit(part.heading_rad, part.log_scale)
-            # Both count: a fit compares more than screening does, but assumes that the photo was
-            # taken near its place.
-            return replace(poses, cost=poses.cost - part.score)
+        def fitted(shard: Shard, mine: IntArray, rows: IntArray) -> Poses:
+            return shard.fitted(rays, replace(starts[mine], row=rows), effort, report)
 
-        parts = range(0, len(start), _FITS_AT_ONCE)
-        found = []
-        with ThreadPoolExecutor(os.cpu_count()) as pool:
-            try:
-                for poses in pool.map(fitted, parts):
-                    found.append(poses)
-                    report("fitting", len(found) / len(parts))
-            except BaseException:
-                # The report may end the match: fits that have not begun are dropped.
-                pool.shutdown(cancel_futures=True)
-                raise
-        return Poses.concatenate(found)
-
-    def _ground_slope(self, places: Places) -> Float32Array:
-        """Return the ground's rise (M, 2) to the east and north."""
-        if self._ground is None:
-            return np.zeros((len(places), 2), dtype=np.float32)
-        rise = ground_slope(self._ground, places.easting_m, places.northing_m)
-        return rise.astype(np.float32)
+        poses = self._of_each(starts.row, fitted, Poses.concatenate)
+        if len(self._frames) < 2:
+            return poses
+        return poses.sited(self._area[self._shard_of(starts.row)], self._frames)
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class _Start(Rows):
-    """N places with the starts of their fits."""
-
-    places: Places
-    score: Float32Array
-    heading_rad: Float64Array
-    log_scale: Float64Array
+def _report_part(report: ReportProgress, done: float, share: float, step: str, part: float) -> None:
+    """Report that a part of a shard is done, as a share of all shards."""
+    report(step, done + share * part)
 
 
 def _good_count(rough: int) -> int:
@@ -403,16 +442,6 @@ def _total(found: Sequence[Poses]) -> Float64Array:
     if len(found) == 1:
         return found[0].cost
     return np.asarray(sum(np.minimum(one.cost, np.median(one.cost)) for one in found))
-
-
-def _within_all(priors: Sequence[Prior]) -> Callable[[Places], BoolArray]:
-    """Return a function that marks the places (N,) within the narrowings of all photos."""
-    return lambda some: np.all([prior.contains(some) for prior in priors], axis=0)
-
-
-def _sum_of(screens: Sequence[Screen]) -> Scores:
-    """Return a function that adds the scores of several photos."""
-    return lambda phase: np.sum([screen.scores(phase) for screen in screens], axis=0)
 
 
 def _even_log_scales(rays: Rays, low: float, high: float, step: float) -> Float64Array:

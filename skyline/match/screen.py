@@ -62,7 +62,12 @@ _SLACK = 4
 _BLOCKS_AT_ONCE = 16
 """Blocks that a thread takes. With one, two threads spend half their time waiting for the GIL."""
 _PLACES_AT_ONCE = 1024
-"""Places scored together, so that memory does not grow with the number of places."""
+"""Places that a coarse screen compares together, so that memory does not grow with their number.
+Fewer are filled up to this number: a product of matrices of another shape may round differently,
+and a score must not depend on the places that are scored with it."""
+CHOSEN_AT_ONCE = 128
+"""Places that a fine screen compares together, filled up likewise. They are the best ones, which
+may be few in each shard."""
 
 
 Scores = Callable[[UInt8Array], Float32Array]
@@ -131,6 +136,7 @@ class Screen:
         coarse: bool = False,
     ) -> None:
         self._turn_step = _COARSE_TURNS if coarse else 1
+        self._at_once = _PLACES_AT_ONCE if coarse else CHOSEN_AT_ONCE
         every = np.ones(PHASE_BINS, dtype=bool)
         opened = every if open_turns is None else open_turns
         if coarse:
@@ -164,18 +170,20 @@ class Screen:
 
         The phases are (N, B).
         """
-        parts = range(0, len(phase), _PLACES_AT_ONCE)
-        return np.concatenate([self._scores(phase[k : k + _PLACES_AT_ONCE]) for k in parts])
+        parts = range(0, len(phase), self._at_once)
+        found = (self._scores(phase[k : k + self._at_once]) for k in parts)
+        return np.concatenate([np.zeros(0, dtype=np.float32), *found])
 
     def _scores(self, phase: UInt8Array) -> Float32Array:
         opened = self.open_turns.reshape(PHASE_BINS // _TURNS_AT_ONCE, -1)
         parts = np.flatnonzero(opened.any(axis=1))
-        sums = self._sums(phase, slice(None) if len(parts) == len(opened) else parts)
+        filled = _filled(phase, self._at_once)
+        sums = self._sums(filled, slice(None) if len(parts) == len(opened) else parts)
         if not opened.all():
             sums += np.where(opened[parts], np.float32(0.0), -np.inf)[:, np.newaxis, np.newaxis]
         # The copy puts the turns first, along which numpy then finds maxima ten times as fast.
         best = np.ascontiguousarray(sums.max(axis=0, initial=-np.inf).T)
-        peak = best.max(axis=0).T
+        peak = best.max(axis=0).T[: len(phase)]
         return np.asarray(((peak - self.mean) * self.scale).max(axis=1), dtype=np.float32)
 
     def best_turns(
@@ -183,12 +191,12 @@ class Screen:
     ) -> tuple[Float64Array, IntArray, Float32Array]:
         """Return the headings, fields of view and scores of the best turns.
 
-        Each is (N, C); fields of view are returned as their indices. The best comes first, and
-        others are at least `_APART_TURNS` from better ones. Where no open turn is left, the best
-        one is returned again, with the score -inf. Headings are grid azimuths of the optical axis,
-        degrees.
+        The phases are (N, B), and each result is (N, C); fields of view are returned as their
+        indices. The best comes first, and others are at least `_APART_TURNS` from better ones.
+        Where no open turn is left, the best one is returned again, with the score -inf. Headings
+        are grid azimuths of the optical axis, degrees.
         """
-        sums = self._every_turn(phase)
+        sums = self._every_turn(_filled(phase, CHOSEN_AT_ONCE))[: len(phase)]
         score = (sums - self.mean[:, np.newaxis]) * self.scale[:, np.newaxis]
         fov = score.argmax(axis=1)
         best = score.max(axis=1)
@@ -221,6 +229,11 @@ class Screen:
             level += change
         turns = _TURNS_AT_ONCE // self._turn_step
         return np.reshape(level, (len(level), len(phase), self._fovs, turns))
+
+
+def _filled(phase: UInt8Array, count: int) -> UInt8Array:
+    """Return phases (N, B), followed by unknown ones up to ``count`` rows."""
+    return np.pad(phase, ((0, max(0, count - len(phase))), (0, 0)))
 
 
 def _rolled(level: Complex128Array) -> Complex128Array:
@@ -291,13 +304,15 @@ def screen_places(
     """
 
     def scored(blocks: list[tuple[int, Places]]) -> tuple[Alike, int]:
-        parts = []
+        rows = []
+        phases = []
         for start, places in blocks:
             chosen = np.flatnonzero(contains(places))
-            if len(chosen):
-                phase = places.phase if len(chosen) == len(places) else places.phase[chosen]
-                parts.append(Alike(start + chosen, scores(phase)))
-        return Alike.joined(parts), sum(len(places) for _, places in blocks)
+            rows.append(start + chosen)
+            phases.append(places.phase if len(chosen) == len(places) else places.phase[chosen])
+        row = np.concatenate([np.zeros(0, dtype=np.intp), *rows])
+        found = Alike(row, scores(np.concatenate(phases))) if len(row) else Alike.joined([])
+        return found, sum(len(places) for _, places in blocks)
 
     batches = _batches(source)
     kept = Alike.joined([])
@@ -316,18 +331,19 @@ def screen_places(
     return kept.best(count)
 
 
-def rescored(scores: Scores, source: PlaceSource, alike: Alike) -> Alike:
-    """Return places with new scores, best first.
+def rescored(scores: Scores, source: PlaceSource, rows: IntArray) -> Float32Array:
+    """Return the scores (M,) of places, in the order of their rows.
 
     The rows are read in the order of the source, which may be a file.
     """
-    order = np.argsort(alike.row, kind="stable")
-    rows = alike.row[order]
-    parts = range(0, len(rows), _PLACES_AT_ONCE)
+    order = np.argsort(rows, kind="stable")
+    read = rows[order]
+    parts = range(0, len(read), _PLACES_AT_ONCE)
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        found = pool.map(lambda k: scores(source.phases(rows[k : k + _PLACES_AT_ONCE])), parts)
-        none = np.zeros(0, dtype=np.float32)
-        return Alike(rows, np.concatenate([none, *found])).best()
+        found = pool.map(lambda k: scores(source.phases(read[k : k + _PLACES_AT_ONCE])), parts)
+        score = np.zeros(len(rows), dtype=np.float32)
+        score[order] = np.concatenate([score[:0], *found])
+    return score
 
 
 def _batches(source: PlaceSource) -> Iterator[list[tuple[int, Places]]]:

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import ClassVar
 
@@ -11,20 +11,21 @@ from threadpoolctl import ThreadpoolController
 
 from skyline.arrays import BoolArray
 from skyline.errors import InputError
+from skyline.geodesy.map_frame import Frame
 from skyline.match import confidence
 from skyline.match.method import BY_RENDERING, SearchMethod
 from skyline.match.other_projection import OtherProjection, find_other_projection
 from skyline.match.posterior import AlikePlaces
 from skyline.match.prior import Narrowing, Prior
 from skyline.match.rays import Rays
-from skyline.match.refine import QUICK, WHOLE, Refinement
+from skyline.match.refine import QUICK, WHOLE, Effort, Refinement, together
 from skyline.match.retrieval import Retriever
 from skyline.match.screen import ReportProgress, silent
+from skyline.match.shard import Shard
 from skyline.match.together import JointRefinement
 from skyline.pose import Pose, Poses
 from skyline.render.horizon import RenderedScene
 from skyline.store.layout import PLACES
-from skyline.store.mapped_places import PlaceSource
 from skyline.store.read import Store
 from skyline.terrain.heightfield import HeightField, ground_of
 from skyline.terrain.viewpoints import LEAST_EYE_HEIGHT_M, Viewpoints
@@ -53,10 +54,21 @@ _blas = cache(ThreadpoolController)
 """The libraries' controls, which take milliseconds to find."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class SearchedArea:
+    """Places of one elevation model, in one frame, and a scene that renders it."""
+
+    shards: Sequence[Shard]
+    scene: RenderedScene | None = None
+    frame: Frame | None = None
+    """None only where no other area is searched."""
+
+
 class FullMatcher(SearchMethod):
     """Retrieval, refinement and confidence; without a scene, poses stay as retrieved.
 
-    ``terrain`` is the terrain of the store's places; None where the DEM cannot be read.
+    The places of all areas are ranked together. Poses are refined in their own areas, and then
+    compared. Either all areas have a scene, or none has.
     """
 
     holds = PLACES
@@ -65,26 +77,50 @@ class FullMatcher(SearchMethod):
     takes_prior = True
     sure_margin: ClassVar[float] = SURE_MARGIN
 
-    def __init__(
-        self, places: PlaceSource, terrain: HeightField | None, scene: RenderedScene | None
-    ) -> None:
-        ground = None if terrain is None else ground_of(terrain)
-        self._scene = scene
-        self.retriever = Retriever(places, ground)
+    def __init__(self, areas: Sequence[SearchedArea], at_once: int = 1) -> None:
+        self._areas = areas
+        frames = [area.frame for area in areas if area.frame is not None]
+        self._frames = frames if len(areas) > 1 else []
+        self.retriever = Retriever([area.shards for area in areas], self._frames, at_once)
         self.models = confidence.models()
         # The more places there are, the more are alike.
-        share = round(1 / 1500 * len(places))
+        share = round(1 / 1500 * len(self.retriever))
         self._shortlist = min(max(share, _SHORTLIST_LEAST), WHOLE.shortlist)
 
     @classmethod
     def open(
         cls, store: Store, terrain: HeightField | None = None, scene: RenderedScene | None = None
     ) -> "FullMatcher":
-        """Return the matcher of an open store of places."""
-        return cls(store.places(), terrain, scene)
+        """Return the matcher of an open store of places.
+
+        ``terrain`` is the terrain of its places; None where the DEM cannot be read.
+        """
+        ground = None if terrain is None else ground_of(terrain)
+        shard = Shard(store.places(), ground)
+        return cls([SearchedArea([shard], scene, Frame(store.header.frame_wkt))])
+
+    @classmethod
+    def joined(cls, methods: Sequence["FullMatcher"]) -> "FullMatcher":
+        """Return the matcher of the areas of all; see `SearchMethod.joined`."""
+        areas = [area for method in methods for area in method._areas]
+        if any(area.scene is None for area in areas):
+            areas = [replace(area, scene=None) for area in areas]
+        return cls(areas)
+
+    def by_shards(self, shards: Sequence[Sequence[Shard]], at_once: int) -> "FullMatcher":
+        """Return this matcher with other shards, by area; see `SearchMethod.by_shards`."""
+        areas = [
+            replace(area, shards=its_shards)
+            for area, its_shards in zip(self._areas, shards, strict=True)
+        ]
+        return FullMatcher(areas, at_once)
 
     def eyes(self) -> Viewpoints:
-        """Return the eyes of the places; of very many, every n-th."""
+        """Return the eyes of the places; of very many, every n-th.
+
+        Raises `InputError` for several areas.
+        """
+        self._check_one_area()
         some = self.retriever.sample(20_000)
         eyes = (some.easting_m, some.northing_m, some.eye_elevation_m)
         east_m, north_m, eye_m = (column.astype(np.float64) for column in eyes)
@@ -104,7 +140,8 @@ class FullMatcher(SearchMethod):
             return poses
         figures = confidence.refined_figures(poses, found, rays)
         # A pose that has moved out of the narrowing is no candidate.
-        allowed = replace(poses, cost=np.where(prior.allows(poses), poses.cost, np.inf))
+        is_allowed = self.retriever.allowed(prior, poses)
+        allowed = replace(poses, cost=np.where(is_allowed, poses.cost, np.inf))
         chosen = allowed.suppress_non_maxima(top, _SEPARATION_M)
         if not len(chosen):
             return poses[chosen]
@@ -121,25 +158,50 @@ class FullMatcher(SearchMethod):
         enough where one place fits far better than any other, as with most skylines. Otherwise the
         last short list is refined with more effort. Raises as `search`.
         """
-        scene = self._scene
         lists = self.retriever.shortlists(rays, self._shortlist, prior, report)
         found = next(lists)
-        if scene is None:
+        if self._areas[0].scene is None:
             return next(lists, found), None
         noted = self._near_noted(rays, prior, report)
-        quick = Refinement(rays, scene, QUICK, prior, report=report)
-        poses = quick.run(_with_noted(found, noted))
+        poses = self._refined(QUICK, rays, prior, _with_noted(found, noted), report)
         if len(poses) and poses.figures().margin[0] > self.sure_margin:
             return found, poses
         found = next(lists, found)
-        whole = Refinement(rays, scene, WHOLE, prior, report=report)
-        return found, whole.run(_with_noted(found, noted))
+        return found, self._refined(WHOLE, rays, prior, _with_noted(found, noted), report)
+
+    def _refined(
+        self, effort: Effort, rays: Rays, prior: Prior, poses: Poses, report: ReportProgress
+    ) -> Poses:
+        """Return distinct poses that fit, best first; see `Refinement.run`.
+
+        Each area refines those that are among the best of all.
+        """
+        priors = prior.in_frames(self._frames)
+        best = poses[np.argsort(poses.cost, kind="stable")[: effort.shortlist]]
+        parts = []
+        for number, (area, its_prior) in enumerate(zip(self._areas, priors, strict=True)):
+            own = replace(best[best.areas() == number], sites=None)
+            if area.scene is None or (not len(own) and number):
+                continue
+            found = Refinement(rays, area.scene, effort, its_prior, report=report).run(own)
+            parts.append(self._sited(number, found))
+        return together(parts, effort.finalists)
+
+    def _sited(self, area: int, poses: Poses) -> Poses:
+        """Return an area's poses with their sites, if there are several areas."""
+        if not self._frames:
+            return poses
+        return poses.sited(np.full(len(poses), area, dtype=np.intp), self._frames)
 
     @one_blas_thread()
     def likely_places(
         self, photos: Sequence[tuple[Rays, Prior]], report: ReportProgress = silent
     ) -> tuple[Poses, AlikePlaces]:
-        """Return what is known of all places; see `SearchMethod.likely_places`."""
+        """Return what is known of all places; see `SearchMethod.likely_places`.
+
+        Raises `InputError` for several areas.
+        """
+        self._check_one_area()
         if len(photos) == 1:
             ((rays, prior),) = photos
             fitted = self.retriever.shortlist(rays, self._shortlist, prior, report)
@@ -153,14 +215,15 @@ class FullMatcher(SearchMethod):
 
         None for a panorama, and if its best candidate is not refined or more likely wrong.
         """
-        scene = self._scene
+        scene = self._areas[best.area].scene
         if scene is None or not best.refined:
             return None
+        its_prior = prior.in_frames(self._frames)[best.area]
         return find_other_projection(
             rays,
             Poses.of(best),
             best.confidence_1km or 0.0,
-            lambda bent: Refinement(bent, scene, QUICK, prior),
+            lambda bent: Refinement(bent, scene, QUICK, its_prior),
         )
 
     @one_blas_thread()
@@ -174,7 +237,8 @@ class FullMatcher(SearchMethod):
         confidence is learned from such fits (`confidence.FITTED`). Raises `InputError` without a
         scene, and for a pose off the map or on a hole.
         """
-        scene = self._needed_scene()
+        scene = self._needed_scene(start.area)
+        prior = prior.in_frames(self._frames)[start.area]
         pose = Poses.of(start)
         off_m = pose.eye_elevation_m - scene.ground_m(pose.easting_m, pose.northing_m)
         if not np.isfinite(off_m).all():
@@ -189,7 +253,8 @@ class FullMatcher(SearchMethod):
         poses = poses[:1]
         figures = confidence.pose_figures(poses, rays)
         near, roughly = confidence.probabilities(self.models, confidence.FITTED, figures)
-        return replace(poses, confidence=near, confidence_1km=roughly)
+        poses = replace(poses, confidence=near, confidence_1km=roughly)
+        return self._sited(start.area, poses)
 
     @one_blas_thread()
     def search_together(
@@ -204,6 +269,7 @@ class FullMatcher(SearchMethod):
         itself: its least cost shows whether it was taken there. Raises as `search`, and
         `InputError` without a scene.
         """
+        self._check_one_area()
         scene = self._needed_scene()
         photos = _with_one_noted_place(photos)
         found = [self.found(rays, prior, report) for rays, prior in photos]
@@ -237,11 +303,20 @@ class FullMatcher(SearchMethod):
         sure = [replace(poses, confidence=near, confidence_1km=roughly) for poses in joint]
         return [poses[chosen] for poses in sure], agrees
 
-    def _needed_scene(self) -> RenderedScene:
-        """Return the scene; raises `InputError` without one."""
-        if self._scene is None:
+    def _check_one_area(self) -> None:
+        """Raise `InputError` for several areas."""
+        if self._frames:
+            raise InputError(
+                f"the stores are of {len(self._frames)} elevation models, and this needs one: name "
+                "stores of one"
+            )
+
+    def _needed_scene(self, area: int = 0) -> RenderedScene:
+        """Return the scene of an area; raises `InputError` without one."""
+        scene = self._areas[area].scene
+        if scene is None:
             raise InputError(BY_RENDERING)
-        return self._scene
+        return scene
 
     def _near_noted(self, rays: Rays, prior: Prior, report: ReportProgress) -> Poses | None:
         """Return the poses retrieved around the photo's noted place; None without one."""

@@ -87,7 +87,7 @@ class _Placemark:
         return f"{self.lon},{self.lat},{self.pose.eye_elevation_m:.2f}"
 
 
-def _geojson(results: Sequence[MatchResult], frame: Frame) -> str:
+def _geojson(results: Sequence[MatchResult], frames: Sequence[Frame]) -> str:
     """Return the candidates of results as a FeatureCollection.
 
     Each is a Point with the properties of the public JSON, a Polygon of the view out to 2 km and,
@@ -98,7 +98,7 @@ def _geojson(results: Sequence[MatchResult], frame: Frame) -> str:
         feature
         for one in results
         for candidate in one.candidates
-        for feature in _features(printable(one.name), candidate, frame)
+        for feature in _features(printable(one.name), candidate, frames[candidate.area])
     ]
     collection = {"type": "FeatureCollection", "features": features}
     return json.dumps(collection, indent=1, allow_nan=False) + "\n"
@@ -138,7 +138,9 @@ def _rings(outline_m: Float64Array, frame: Frame) -> list[list[list[float]]]:
     return [np.round(ring, _DECIMALS).tolist() for ring in lonlat_rings(outline_m, frame)]
 
 
-def _kml(results: Sequence[MatchResult], frame: Frame, hrefs: Sequence[str | None]) -> bytes:
+def _kml(
+    results: Sequence[MatchResult], frames: Sequence[Frame], hrefs: Sequence[str | None]
+) -> bytes:
     """Return results as KML; photos with an address stand in the landscape.
 
     Each candidate is a place and a view of 2 km. The first candidate of each photo has a
@@ -151,7 +153,7 @@ def _kml(results: Sequence[MatchResult], frame: Frame, hrefs: Sequence[str | Non
         name = Path(result.name).name
         places = [_Placemark.of(name, one) for one in result.candidates]
         for place in places:
-            _add_place(folder, place, frame)
+            _add_place(folder, place, frames[place.pose.area])
         is_flat = result.skyline.projection is Projection.PERSPECTIVE
         if href is not None and places and is_flat:
             _add_photo(folder, name, result.skyline, places[0], href)
@@ -159,7 +161,7 @@ def _kml(results: Sequence[MatchResult], frame: Frame, hrefs: Sequence[str | Non
 
 
 def _linked_kml(
-    path: Path, results: Sequence[MatchResult], frame: Frame, photos: Photos | None
+    path: Path, results: Sequence[MatchResult], frames: Sequence[Frame], photos: Photos | None
 ) -> bytes:
     """Return KML that links to the files of photos.
 
@@ -174,10 +176,10 @@ def _linked_kml(
             href = os.path.relpath(photo.parent.resolve() / photo.name, path.parent.resolve())
         has_picture = photo.name not in ("", STANDARD) and photo.suffix.lower() != ".csv"
         hrefs.append(quote(os.fsencode(href)) if has_picture else None)
-    return _kml(results, frame, hrefs)
+    return _kml(results, frames, hrefs)
 
 
-def _kmz(results: Sequence[MatchResult], frame: Frame, photos: Photos | None) -> bytes:
+def _kmz(results: Sequence[MatchResult], frames: Sequence[Frame], photos: Photos | None) -> bytes:
     """Return KML and its photos as a KMZ.
 
     Photos that are not given are read from their files.
@@ -188,7 +190,7 @@ def _kmz(results: Sequence[MatchResult], frame: Frame, photos: Photos | None) ->
     hrefs = [None if photo is None else href for href, photo in pictures.items()]
     file = io.BytesIO()
     with zipfile.ZipFile(file, "w") as archive:
-        archive.writestr("doc.kml", _kml(results, frame, hrefs), zipfile.ZIP_DEFLATED)
+        archive.writestr("doc.kml", _kml(results, frames, hrefs), zipfile.ZIP_DEFLATED)
         for href, photo in pictures.items():
             if photo is not None:
                 quality = [cv2.IMWRITE_JPEG_QUALITY, 90]
@@ -252,18 +254,21 @@ def _child(parent: Xml.Element, tag: str, text: str = "", **attributes: str) -> 
 
 
 EXPORTS: Mapping[
-    str, Callable[[Path, Sequence[MatchResult], Frame, Photos | None], str | bytes]
+    str, Callable[[Path, Sequence[MatchResult], Sequence[Frame], Photos | None], str | bytes]
 ] = {
-    ".geojson": lambda _, results, frame, __: _geojson(results, frame),
+    ".geojson": lambda _, results, frames, __: _geojson(results, frames),
     ".kml": _linked_kml,
-    ".kmz": lambda _, results, frame, photos: _kmz(results, frame, photos),
+    ".kmz": lambda _, results, frames, photos: _kmz(results, frames, photos),
     ".gpx": lambda _, results, *__: _gpx(results),
 }
 """Functions that return the content of files, by the suffix of the file."""
 
 
 def export_matches(
-    path: str | Path, results: Sequence[MatchResult], frame: Frame, photos: Photos | None = None
+    path: str | Path,
+    results: Sequence[MatchResult],
+    frame: Frame | Sequence[Frame],
+    photos: Photos | None = None,
 ) -> None:
     """Write the candidates of results as GeoJSON, KML, KMZ or GPX.
 
@@ -273,8 +278,8 @@ def export_matches(
         Its suffix chooses the format; missing folders are made.
     results : sequence of MatchResult
         Each is named after its photo's file.
-    frame : Frame
-        Frame of the candidates: `Matcher.frame`.
+    frame : Frame or sequence of Frame
+        Frame of the candidates: `Matcher.frame`, or one for each of `Matcher.areas`.
     photos : sequence of (H, W, 3) uint8 or None, optional
         RGB of each result's photo, which a KMZ holds. By default the photos are read from the files
         that the results are named after.
@@ -294,7 +299,8 @@ def export_matches(
     results = listed(results)
     if photos is not None and len(photos) != len(results):
         raise InputError(f"{len(photos)} photos are given for {len(results)} results")
-    content = EXPORTS[suffix_of(path, EXPORTS)](path, results, frame, photos)
+    frames = [frame] if isinstance(frame, Frame) else frame
+    content = EXPORTS[suffix_of(path, EXPORTS)](path, results, frames, photos)
     write_with_folders(path, content)
 
 

@@ -62,11 +62,17 @@ class PlaceMap:
         """Return the number of places."""
         return self._places
 
-    def blocks(self) -> Iterator[Places]:
+    def blocks(self, first: int = 0, stop: int | None = None) -> Iterator[Places]:
         """Yield all places in order, at most 1024 at a time.
 
         The arrays are read-only and lie in the file: it is read when an array is, and no checksum
         is compared (`take` does that, and `check_store` for the whole store).
+
+        Parameters
+        ----------
+        first, stop : int, optional
+            Only the places of these rows; ``first`` is a multiple of 1024, as is ``stop`` unless it
+            is the number of places.
 
         Raises
         ------
@@ -74,7 +80,8 @@ class PlaceMap:
             The file was cut short since the store was opened.
         """
         size = self._size
-        for chunk in range(-(-self._places // size)):
+        stop = self._places if stop is None else stop
+        for chunk in range(first // size, -(-stop // size)):
             self._check_length()
             rows = min(size, self._places - chunk * size)
             fields: Any = {
@@ -199,14 +206,15 @@ class JoinedPlaces(PlaceMap):
         """Return the number of places."""
         return len(self._order)
 
-    def blocks(self) -> Iterator[Places]:
+    def blocks(self, first: int = 0, stop: int | None = None) -> Iterator[Places]:
         """Yield all places in order, as the blocks of one store; see `PlaceMap.blocks`.
 
         The blocks are copies. They are as long as those of one store: a product of matrices may
         round differently in blocks of another length.
         """
-        for start in range(0, len(self), PLACES_A_CHUNK):
-            rows = np.arange(start, min(start + PLACES_A_CHUNK, len(self)))
+        stop = len(self) if stop is None else stop
+        for start in range(first, stop, PLACES_A_CHUNK):
+            rows = np.arange(start, min(start + PLACES_A_CHUNK, stop))
             yield self._read(rows, PlaceMap._unverified, Places.concatenate)
 
     def phases(self, rows: IntArray) -> UInt8Array:
@@ -239,5 +247,32 @@ class JoinedPlaces(PlaceMap):
         return joined
 
 
-PlaceSource = PlaceMap | Places
+class PartOfPlaces:
+    """A part of mapped places, with rows of its own; as `PlaceMap`.
+
+    ``first`` and ``stop`` are as for `PlaceMap.blocks`.
+    """
+
+    def __init__(self, places: PlaceMap, first: int, stop: int) -> None:
+        self._places = places
+        self._first = first
+        self._stop = stop
+
+    def __len__(self) -> int:
+        return self._stop - self._first
+
+    def blocks(self) -> Iterator[Places]:
+        """Yield the places in order; see `PlaceMap.blocks`."""
+        return self._places.blocks(self._first, self._stop)
+
+    def phases(self, rows: IntArray) -> UInt8Array:
+        """Return copies of the phases (M, 180) of places; see `PlaceMap.phases`."""
+        return self._places.phases(self._first + rows)
+
+    def take(self, rows: IntArray) -> Places:
+        """Return copies of places (M,); see `PlaceMap.take`."""
+        return self._places.take(self._first + rows)
+
+
+PlaceSource = PlaceMap | PartOfPlaces | Places
 """Places in files or in memory."""

@@ -190,6 +190,16 @@ def open_joined(paths: Sequence[str | os.PathLike[str]]) -> Iterator[Store]:
             yield store
 
 
+def by_model(paths: Sequence[str | Path]) -> list[list[str | Path]]:
+    """Return stores' paths in groups of one elevation model and frame each, in order."""
+    groups: dict[tuple[str, str], list[str | Path]] = {}
+    for path in paths:
+        with open_store(path) as store:
+            header = store.header
+        groups.setdefault((header.frame_wkt, header.dem_digest), []).append(path)
+    return list(groups.values())
+
+
 def sorted_once(header: StoreHeader, columns: Columns) -> IntArray:
     """Return the rows, each once, in order of location and heading."""
     keys = [np.asarray(columns[name]) for name in header.sorted_by]

@@ -109,19 +109,10 @@ class Runner:
         heard: SimpleQueue[Any] = SimpleQueue()
         if listen:
             self.client.subscribe_topic(topic, lambda event: heard.put(event[1]))
-        with warnings.catch_warnings():
-            # The viewpoints make the graph large, so it is sent once.
-            warnings.filterwarnings("ignore", message="Sending large graph")
-            futures = [
-                self.client.submit(
-                    _do_on_bench,
-                    *(work, opening, item, topic),
-                    key=f"{name}-{run}",
-                    retries=self.retries,
-                    pure=False,
-                )
-                for name, item in zip(names, items, strict=True)
-            ]
+        futures = [
+            self._submit(work, opening, item, topic, f"{name}-{run}")
+            for name, item in zip(names, items, strict=True)
+        ]
         # When the client leaves, the scheduler forgets the jobs that were not waited for.
         for future in futures:
             if listen:
@@ -131,6 +122,53 @@ class Runner:
                     if message is not None:
                         listen(*message)
             yield _outcome(future)
+
+    def ask(self, work: Callable[[K, T, Tell], R], opening: Opening[K], item: T, worker: int) -> R:
+        """Return what a worker answers about one item; any thread may ask.
+
+        Of n workers the one with the number ``worker`` modulo n is asked, and any other if that one
+        dies. Raises what the job raises, or `BuildError`; see `__call__`.
+        """
+        addresses = self._addresses()
+        workers = [addresses[worker % len(addresses)]] if addresses else None
+        answer = _outcome(
+            self._submit(work, opening, item, None, f"ask-{uuid4().hex}", workers=workers)
+        )
+        if isinstance(answer, SkylineError):
+            raise answer
+        found: R = answer
+        return found
+
+    @property
+    def workers(self) -> int:
+        """Number of workers now."""
+        return len(self._addresses())
+
+    def _addresses(self) -> list[str]:
+        return sorted(self.client.nthreads())
+
+    def _submit(
+        self,
+        work: Callable[[K, T, Tell], R],
+        opening: Opening[K],
+        item: T,
+        topic: str | None,
+        key: str,
+        workers: Sequence[str] | None = None,
+    ) -> Any:
+        """Submit a job; return its future."""
+        with warnings.catch_warnings():
+            # Viewpoints, or a photo's waves, make the graph large; it is sent once.
+            warnings.filterwarnings("ignore", message="Sending large graph")
+            return self.client.submit(
+                _do_on_bench,
+                *(work, opening, item, topic),
+                key=key,
+                retries=self.retries,
+                pure=False,
+                workers=workers,
+                allow_other_workers=workers is not None,
+            )
 
 
 @contextmanager

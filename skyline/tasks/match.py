@@ -30,6 +30,7 @@ from skyline.match.matcher import FULL, Matcher
 from skyline.match.method import MATCHERS
 from skyline.match.posterior import Posterior
 from skyline.match.result import JointResult, MatchResult
+from skyline.match.spread import distant_shards, opening_of
 from skyline.peaks import Peaks, read_peaks
 from skyline.photo.image import EXPECTED
 from skyline.photo.skyline import PhotoSkyline
@@ -61,7 +62,7 @@ class MatchTask:
     """Photos to find, stores to search, and files to write."""
 
     stores: tuple[Path, ...]
-    """Stores of one DEM, which are searched as one."""
+    """They are searched as one."""
     entries: Sequence[Entry]
     """The photos."""
     common: Entry = Entry("")  # noqa: RUF009  (it is frozen)
@@ -78,6 +79,8 @@ class MatchTask:
     """Whether all photos were taken at one place."""
     workers: str | None = None
     """As for `runner_of`."""
+    split: bool = False
+    """Whether all workers search for each photo, each in a part of the places."""
     report: Path | None = None
     """Folder of a page with pictures and maps."""
     peaks: Path | None = None
@@ -136,6 +139,7 @@ class MatchTask:
                 self.same_place and self.results,
                 "--same-place gives one answer, not one row per photo; leave --results out",
             ),
+            (self.split and not self.workers, "--split is for workers; give --workers too"),
             (
                 self.same_place and self.workers,
                 "--same-place matches in this process; leave --workers out",
@@ -259,7 +263,13 @@ class _Run:
             ):
                 progress(0, len(usable))
                 each = match_here(matcher, usable)
-                if runner is not None:
+                if runner is not None and task.split:
+                    opening = opening_of(task.stores, dem_names(task.dem) or None)
+                    rows = [area.rows for area in matcher.areas]
+                    shards = distant_shards(runner, opening, rows)
+                    # A worker has its next part at hand when it is done with one.
+                    matcher.search_by(shards, 2 * max(runner.workers, 1))
+                elif runner is not None:
                     each = match_many(runner, task.opening, usable)
                 found = self._show_each(known, refused, each, progress)
         if found:
@@ -327,7 +337,8 @@ class _Run:
     def _opened(self) -> Matcher:
         """Open the matcher.
 
-        Raises `InputError` if a file of results would keep answers that lack refinement.
+        Raises `InputError` if a file of results would keep answers that lack refinement, and for
+        the report of stores of several DEMs.
         """
         task = self._task
         started = time.perf_counter()
@@ -336,7 +347,10 @@ class _Run:
         ):
             matcher = Matcher(*task.opening)  # type: ignore[arg-type]
         self._loading_s = time.perf_counter() - started
-        if self._file is not None and task.matcher == FULL and matcher.terrain is None:
+        if task.report is not None:
+            matcher.only_area()
+        is_unrefined = any(area.terrain is None for area in matcher.areas)
+        if self._file is not None and task.matcher == FULL and is_unrefined:
             raise InputError(
                 "--results keeps answers for good, and these would be unrefined; name the store's "
                 f"DEM with --dem, or accept that with --matcher {UNREFINED}"
@@ -440,7 +454,7 @@ class _Run:
     ) -> None:
         """Write the exports and the report."""
         for path in self._task.exports:
-            export_matches(path, found, matcher.frame)
+            export_matches(path, found, [area.frame for area in matcher.areas])
         if self._task.probability:
             self._write_posteriors(found if self._joint is None else [self._joint], matcher)
         if self._task.report is None:

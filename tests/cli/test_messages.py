@@ -321,11 +321,11 @@ def test_a_mistake_is_one_line_and_writes_nothing(run, read, tmp_path, command, 
     assert {path: path.read_bytes() for path in read.values()} == before
 
 
-def test_stores_of_other_elevation_models_are_not_joined(run, store, photo, tmp_path):
+def test_stores_of_other_elevation_models_are_not_joined(run, store, tmp_path):
     other, flat = tmp_path / "other.h5", tmp_path / "flat.tif"
     write_dem(flat, np.zeros((40, 40), dtype=np.float32))
     run("build", flat, "--spacing", 80, "-o", other).ok()
-    refused = run("match", store, other, photo, "--fov-deg", 60)
+    refused = run("store", "merge", store, other, "-o", tmp_path / "both.h5")
     assert_refused(refused, "cannot be joined: elevation model is 'dem.tif (")
     assert "build both with the same settings from one DEM of both areas" in refused.err
 

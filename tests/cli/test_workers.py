@@ -1,9 +1,14 @@
 """``--workers``: the same stores and answers as in one process."""
 
 import json
+import os
+import signal
 
 import pytest
 from commands import csv_of, trace_of
+from distributed import Client
+
+from skyline.survey.cluster import Opening, Runner
 
 
 @pytest.fixture
@@ -39,3 +44,42 @@ def test_photos_are_matched_by_workers_as_here(run, traces, dask_cluster, reques
     assert (here.code, spread.code) == (0, 2)
     assert spread.err.count("\n") == 1
     assert "3.csv" in spread.err
+
+
+def test_all_workers_search_for_each_photo_as_one_process_does(run, traces, dask_cluster, store):
+    words = "match", store, *traces[:3], "--fov-deg", "60", "--json", "--matcher", "unrefined"
+    here = run(*words).ok()
+    there = "--workers", dask_cluster.scheduler_address, "--split"
+    spread = run(*words, *there).ok()
+    assert answers_in(spread) == answers_in(here)
+    with Client(dask_cluster) as client:
+        os.kill(min(client.run(os.getpid).values()), signal.SIGKILL)
+    assert answers_in(run(*words, *there).ok()) == answers_in(here)
+
+
+def answers_in(done):
+    """Return the printed records, without times."""
+    records = [json.loads(line) for line in done.out.splitlines()]
+    return [{k: v for k, v in one.items() if not k.endswith("seconds")} for one in records]
+
+
+def die_once(tool, mark, _):
+    """End the worker, the first time."""
+    if not mark.exists():
+        mark.touch()
+        os._exit(1)
+    return "alive"
+
+
+class NoTool:
+    """A tool of nothing."""
+
+    def close(self):
+        """Free nothing."""
+
+
+def test_another_worker_answers_for_one_that_dies(dask_cluster, tmp_path):
+    with Client(dask_cluster) as client:
+        runner = Runner(client)
+        opening = Opening("nothing", NoTool)
+        assert runner.ask(die_once, opening, tmp_path / "died", 1) == "alive"

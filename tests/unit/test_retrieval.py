@@ -15,11 +15,16 @@ from skyline.errors import InputError
 from skyline.match.lens_prior import LensPrior
 from skyline.match.prior import NOTHING_KNOWN, Narrowing, Prior
 from skyline.match.retrieval import Retriever
+from skyline.match.shard import Shard
 
 
 @pytest.fixture(scope="module")
 def places():
     return places_of(np.stack([curve(seed, AZIMUTH_DEG) for seed in range(40)]))
+
+
+def retriever_of(places, ground=None):
+    return Retriever([[Shard(places, ground)]])
 
 
 def turned(heading_deg, other_deg):
@@ -34,7 +39,7 @@ def turned(heading_deg, other_deg):
 )
 @settings(max_examples=25)
 def test_a_pose_is_found_back_whatever_the_heading(places, seed, heading, pitch, roll):
-    found = Retriever(places).shortlist(rays(seed, heading, pitch_deg=pitch, roll_deg=roll), 3)
+    found = retriever_of(places).shortlist(rays(seed, heading, pitch_deg=pitch, roll_deg=roll), 3)
     assert abs(found.easting_m[0] - 100.0 * seed) < 50.0
     assert turned(found.grid_heading_deg[0], heading) < 0.3
     assert found.pitch_deg[0] == pytest.approx(pitch, abs=0.3)
@@ -47,17 +52,17 @@ def test_the_field_of_view_is_found_within_its_range_and_never_outside(places):
     true = rays(5, 30.0)
     wrong = true.with_fov(63.0)
     seen = replace(wrong, fov_deg=63.0, fov_range_deg=(57.0, 66.0))
-    found = Retriever(places).shortlist(seen, 5)
+    found = retriever_of(places).shortlist(seen, 5)
     assert found.easting_m[0] == pytest.approx(500.0, abs=50.0)
     assert found.fov_deg[0] == pytest.approx(60.0, abs=0.5)
     narrow = replace(wrong, fov_deg=63.0, fov_range_deg=(61.0, 66.0))
-    found = Retriever(places).shortlist(narrow, 5)
+    found = retriever_of(places).shortlist(narrow, 5)
     assert ((found.fov_deg >= 61.0) & (found.fov_deg <= 66.0)).all()
 
 
 def test_the_eye_follows_the_ground():
     y = np.stack([curve(3, AZIMUTH_DEG)])
-    retriever = Retriever(places_of(y, 500.0), lambda east, north: 0.3 * east - 0.2 * north)
+    retriever = retriever_of(places_of(y, 500.0), lambda east, north: 0.3 * east - 0.2 * north)
     found = retriever.shortlist(rays(3, 77.0), 1)
     expected = 1000.0 + 0.3 * found.easting_m - 0.2 * found.northing_m
     np.testing.assert_allclose(found.eye_elevation_m, expected, atol=1e-3)
@@ -80,7 +85,7 @@ def test_a_place_between_entries_is_found():
     entry = places_of(y[np.newaxis], distance_m, tolerance_m=20.0 * np.sqrt(3.0))
     # A view this wide holds walls at several distances, which separate a move from a turn.
     u, v = photo(lambda azimuth: wall(12.0, -9.0, azimuth)[0], heading_deg, fov_deg=100.0)
-    found = Retriever(entry).shortlist(equally_trusted(u, v, 100.0), 1)
+    found = retriever_of(entry).shortlist(equally_trusted(u, v, 100.0), 1)
     # The eye is 15 m from the place. What is left of that is the first order's error, and that
     # of corners cut by steps of a degree.
     assert np.hypot(found.easting_m[0] - 12.0, found.northing_m[0] + 9.0) < 6.0
@@ -93,14 +98,14 @@ def test_a_near_place_that_fits_comes_before_far_ones_that_fit_worse():
     right = curve(3, AZIMUTH_DEG)
     distance_m = np.array([[20.0], [20_000.0]])
     entries = places_of(np.stack([right, right + noise]), distance_m, spacing_m=1000.0)
-    found = Retriever(entries).shortlist(rays(3, 77.0), 2)
+    found = retriever_of(entries).shortlist(rays(3, 77.0), 2)
     assert found.easting_m[0] == pytest.approx(0.0, abs=25.0)
 
 
 def test_missing_headings_do_not_stop_the_others():
     y = np.stack([curve(seed, AZIMUTH_DEG) for seed in range(20)])
     y[:, 225:] = np.nan
-    found = Retriever(places_of(y)).shortlist(rays(4, 100.0), 1)
+    found = retriever_of(places_of(y)).shortlist(rays(4, 100.0), 1)
     assert found.easting_m[0] == pytest.approx(400.0, abs=50.0)
     assert turned(found.grid_heading_deg[0], 100.0) < 0.3
 
@@ -119,7 +124,7 @@ def within_m(radius_m):
 
 def test_later_lists_add_to_the_first_one():
     """The first list is of 2048 places, the second of all 2300."""
-    first, last = Retriever(many(2300)).shortlists(rays(3, 77.0), 5)
+    first, last = retriever_of(many(2300)).shortlists(rays(3, 77.0), 5)
     assert last.cost[0] <= first.cost[0]
     assert len(first) == len(last) == 5
 
@@ -128,13 +133,13 @@ def test_later_lists_add_to_the_first_one():
 def test_places_beyond_the_first_list_make_another(places, lists):
     """Places are 100 m apart, so 204,750 m reach the 2048th one."""
     prior = within_m(100.0 * places - 50.0)
-    found = list(Retriever(many(2300)).shortlists(rays(3, 77.0), 5, prior))
+    found = list(retriever_of(many(2300)).shortlists(rays(3, 77.0), 5, prior))
     assert len(found) == lists
     assert all(prior.contains(poses).all() for poses in found)
 
 
 def test_every_place_of_a_narrow_search_is_fitted(places):
-    found = Retriever(places).shortlist(rays(1, 77.0), 100, within_m(250.0))
+    found = retriever_of(places).shortlist(rays(1, 77.0), 100, within_m(250.0))
     nearest = np.rint(found.easting_m / 100.0)
     assert set(nearest) == {0.0, 1.0, 2.0}
     assert nearest[0] == 1.0
@@ -143,26 +148,25 @@ def test_every_place_of_a_narrow_search_is_fitted(places):
 def test_a_narrow_range_of_headings_repeats_no_fit():
     """Of the 1024 good fits of the first list, 552 had places of their own when some repeated."""
     prior = Prior(Narrowing(heading_deg=(257.0, 1e-3)))
-    first = next(Retriever(many(2300)).shortlists(rays(3, 77.0), 5000, prior))
+    first = next(retriever_of(many(2300)).shortlists(rays(3, 77.0), 5000, prior))
     assert len(np.unique(np.rint(first.easting_m / 100.0))) > 800
 
 
 def test_a_known_place_is_fitted_from_every_heading(places):
     """Headings are 3 degrees apart: 120 of each of 2 places."""
-    assert len(Retriever(places[:2]).fitted_all_round(rays(1, 77.0))) == 240
+    assert len(retriever_of(places[:2]).fitted_all_round(rays(1, 77.0))) == 240
 
 
 def test_a_search_of_no_place_is_refused(places):
+    far_off = Prior(circles_m=((-900.0, 0.0, 99.0),))
     with pytest.raises(InputError, match="no place of the store"):
-        next(
-            Retriever(places).shortlists(rays(3, 77.0), 5, Prior(circles_m=((-900.0, 0.0, 99.0),)))
-        )
+        next(retriever_of(places).shortlists(rays(3, 77.0), 5, far_off))
 
 
 def test_a_panorama_all_the_way_round_is_found(places):
     """Its field of view is exact, so its deviation is not known: it is infinite."""
     seen = swept(lambda azimuth: curve(7, np.degrees(azimuth)), 130.0, 0.0, 360.0)
-    found = Retriever(places).shortlist(seen, 3)
+    found = retriever_of(places).shortlist(seen, 3)
     assert found.easting_m[0] == pytest.approx(700.0, abs=50.0)
     assert turned(found.grid_heading_deg[0], 130.0) < 0.3
     assert found.fov_deg[0] == 360.0
@@ -171,7 +175,7 @@ def test_a_panorama_all_the_way_round_is_found(places):
 def test_photos_of_one_eye_share_their_places(places):
     west = Prior(Narrowing(heading_deg=(250.0, 1.0)))
     photos = [(rays(7, 30.0), NOTHING_KNOWN), (rays(7, 250.0), west)]
-    one, other = Retriever(places).shortlist_together(photos, 5)
+    one, other = retriever_of(places).shortlist_together(photos, 5)
     assert len(one) == len(other) == 5
     np.testing.assert_array_equal(one.easting_m, other.easting_m)
     np.testing.assert_array_equal(one.cost, other.cost)
@@ -186,7 +190,7 @@ def test_threads_change_nothing(monkeypatch):
 
     def costs(threads):
         monkeypatch.setattr(os, "cpu_count", lambda: threads)
-        return [poses.cost for poses in Retriever(places).shortlists(seen, 20)]
+        return [poses.cost for poses in retriever_of(places).shortlists(seen, 20)]
 
     for one, several in zip(costs(1), costs(5), strict=True):
         np.testing.assert_array_equal(one, several)
@@ -204,6 +208,19 @@ def test_a_search_ends_where_its_report_raises(reports):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        list(Retriever(many(2300)).shortlists(rays(3, 77.0), 5, report=report))
+        list(retriever_of(many(2300)).shortlists(rays(3, 77.0), 5, report=report))
     assert len(said) == reports
     assert threading.active_count() == before
+
+
+def test_places_in_several_shards_are_found_as_in_one():
+    """Each shard of 2300 places has a part of every list; all numbers are equal to the bit."""
+    places = many(2300)
+    whole = list(retriever_of(places).shortlists(rays(3, 77.0), 50))
+    cuts = [slice(0, 7), slice(7, 1500), slice(1500, 2300)]
+    shards = [Shard(places[cut]) for cut in cuts]
+    parts = list(Retriever([shards]).shortlists(rays(3, 77.0), 50))
+    assert len(parts) == len(whole) == 2
+    for one, other in zip(parts, whole, strict=True):
+        for name, column in one.columns().items():
+            np.testing.assert_array_equal(column, getattr(other, name))

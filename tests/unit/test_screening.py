@@ -8,7 +8,7 @@ from place_scenes import AZIMUTH_DEG, Blocks, curve, photo, places_of, rays
 from ray_scenes import equally_trusted
 
 from skyline.match.prior import NOTHING_KNOWN
-from skyline.match.screen import Alike, Screen, rescored, screen_places, turns_within, waves_of
+from skyline.match.screen import Screen, rescored, screen_places, turns_within, waves_of
 from skyline.store.places import decode_phases
 
 FOVS_DEG = np.array([57.0, 60.0, 63.0])
@@ -92,17 +92,13 @@ def test_a_coarse_screen_looks_beside_a_narrow_range_of_headings(places):
     assert np.isfinite(coarse.scores(places.phase)).all()
 
 
-def test_places_get_other_scores_in_a_new_order(places):
+def test_places_get_other_scores_in_their_order(places):
     screen = Screen(wide(11, 200.0), FOVS_DEG, places)
-    some = Alike(np.array([3, 11, 40, 5]), np.array([4.0, 3.0, 2.0, 1.0], dtype=np.float32))
-    found = rescored(screen.scores, Blocks(places, 7), some)
-    score = screen.scores(places.phase)
-    assert found.row[0] == 11
-    assert sorted(found.row) == [3, 5, 11, 40]
-    np.testing.assert_allclose(found.score, score[found.row], rtol=1e-5)
+    rows = np.array([3, 11, 40, 5])
+    found = rescored(screen.scores, Blocks(places, 7), rows)
+    np.testing.assert_allclose(found, screen.scores(places.phase)[rows], rtol=1e-5)
 
 
 def test_no_place_gets_no_score(places):
     screen = Screen(wide(11, 200.0), FOVS_DEG, places)
-    none = Alike.joined([])
-    assert len(rescored(screen.scores, places, none)) == 0
+    assert len(rescored(screen.scores, places, np.zeros(0, dtype=np.intp))) == 0

@@ -1,0 +1,235 @@
+"""Shards: one process against workers, each with a part of the places, up to a million km2.
+
+Areas of that size are simulated: one store counts as many stores of an area, and as those of many
+areas, of frames of their own. All processes so map the same file; what they would map of real
+stores is computed.
+"""
+
+import os
+import signal
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import partial
+from importlib import import_module
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from typer import Option
+
+from skyline import MatchConfig, build_places, open_store, read_dem
+from skyline.arrays import IntArray, UInt8Array
+from skyline.cli.terminal import Terminal
+from skyline.geodesy.map_frame import Frame
+from skyline.match.prior import NOTHING_KNOWN
+from skyline.match.rays import Rays
+from skyline.match.retrieval import Retriever
+from skyline.match.screen import silent
+from skyline.match.search import one_blas_thread
+from skyline.match.shard import Shard
+from skyline.match.spread import OpenAreas, Part, distant_shards
+from skyline.pose import Poses
+from skyline.store.layout import PLACES_A_CHUNK
+from skyline.store.mapped_places import PlaceMap
+from skyline.store.places import Places
+from skyline.store.read import Store
+from skyline.survey.cluster import Opening, Runner, local_cluster
+from skyline.terrain.heightfield import HeightField, ground_of
+from skyline.terrain.provenance import DemOptions
+from skyline_bench import options
+from skyline_bench.measuring import Row, peak_bytes, square_km
+from skyline_bench.queries.synthetic import make_queries
+
+_AREA_KM2 = 1e5
+"""Size of an area, as of the stores of nine to forty tiles."""
+_LISTED = 400
+"""Poses of a short list, as of a search of few places."""
+
+
+def shards(
+    dem: options.Dems,
+    record: options.Record = None,
+    places: Annotated[int, Option(min=1, help="Places of the store.")] = 20_000,
+    km2: Annotated[list[float], Option(help="Areas that are simulated.")] = [1e5, 1e6],  # noqa: B006
+    workers: Annotated[int, Option(min=1, help="Workers.")] = 2,
+    seed: options.Seed = 0,
+    folder: options.Folder = None,
+    quick: Annotated[bool, options.quick_with(places=2000, km2=[2e4])] = False,
+    crs: options.Crs = None,
+) -> None:
+    """Screening and fits of a photo by one process and by workers, and if a worker is killed.
+
+    Each of the workers has a part of the places. Answers are compared to the bit. Refinement, which
+    does not grow with the area, is left out. Processor time does not depend on what else the
+    machine does: with a core each, workers take as long as the busiest of them and the process that
+    asks them.
+    """
+    terrain = read_dem(dem, DemOptions(crs=crs))
+    with options.store_folder(folder) as kept, local_cluster(workers) as cluster:
+        path = kept / "shards.h5"
+        if not path.exists():
+            build_places(terrain, path, places=places)
+        with _client(cluster) as client, open_store(path) as store:
+            search = _Search(terrain, store, Runner(client), seed)
+            with Terminal().progress("measuring") as progress:
+                rows: list[Row] = []
+                for number, size in enumerate(km2):
+                    progress(number, len(km2))
+                    rows += search.rows(size)
+        options.report(record, rows, terrain=terrain)
+
+
+@contextmanager
+def _client(cluster: Any) -> Iterator[Any]:
+    distributed: Any = import_module("distributed")  # It is slow to load.
+    with distributed.Client(cluster) as client:
+        yield client
+
+
+class _Again(PlaceMap):
+    """Whole blocks of places, again and again, as the places of one area."""
+
+    def __init__(self, places: PlaceMap, copies: int) -> None:
+        self._places = places
+        self._blocks = len(places) // PLACES_A_CHUNK
+        self._copies = copies
+
+    @property
+    def _rows(self) -> int:
+        return self._blocks * PLACES_A_CHUNK
+
+    def __len__(self) -> int:
+        return self._copies * self._rows
+
+    def blocks(self, first: int = 0, stop: int | None = None) -> Iterator[Places]:
+        stop = len(self) if stop is None else stop
+        for start in range(first, stop, PLACES_A_CHUNK):
+            row = start % self._rows
+            yield from self._places.blocks(row, row + PLACES_A_CHUNK)
+
+    def phases(self, rows: IntArray) -> UInt8Array:
+        return self._places.phases(rows % self._rows)
+
+    def take(self, rows: IntArray) -> Places:
+        return self._places.take(rows % self._rows)
+
+
+class _SameArea(OpenAreas):
+    """A store that counts as so many stores of every area."""
+
+    def __init__(self, store: Path, files: tuple[str, ...], copies: int) -> None:
+        super().__init__([store], files)
+        ((places, ground),) = self._areas
+        self._areas = [(_Again(places, copies), ground)]
+
+    def shard(self, part: Part) -> Shard:
+        return super().shard(replace(part, area=0))
+
+
+class _Search:
+    """A photo, and a store that counts as many."""
+
+    def __init__(self, terrain: HeightField, store: Store, runner: Runner, seed: int) -> None:
+        self._terrain = terrain
+        self._runner = runner
+        self._row = store.path.stat().st_size / len(store)
+        self._path = store.path
+        self._files = store.header.dem_files
+        self._places = store.places()
+        eyes = store.eyes()
+        east_m, north_m = eyes.easting_m, eyes.northing_m
+        box_m = float(east_m.min()), float(north_m.min()), float(east_m.max()), float(north_m.max())
+        self._km2 = square_km(box_m)
+        (query,) = make_queries(terrain, box_m, 1, seed)
+        self._rays = Rays.of(query.skyline, MatchConfig().fov_sd_share, finds_fov=True)
+
+    def rows(self, km2: float) -> Sequence[Row]:
+        """Return the figures of an area, by process."""
+        areas = max(1, round(km2 / _AREA_KM2))
+        copies = max(1, round(km2 / areas / self._km2))
+        frames = [Frame.local(lon=-170.0 + 340.0 * k / areas, lat=45.0) for k in range(areas)]
+        frames = frames if areas > 1 else []
+        places = _Again(self._places, copies)
+        shard = Shard(places, ground_of(self._terrain))
+        here = Retriever([[shard]] * areas, frames)
+        opening: Opening[OpenAreas] = Opening(
+            (self._path, copies), partial(_SameArea, self._path, self._files, copies)
+        )
+        far = distant_shards(self._runner, opening, [len(places)] * areas)
+        there = Retriever(far, frames, at_once=2 * self._runner.workers)
+        for some in far[0][: self._runner.workers]:
+            some.take(np.zeros(1, dtype=np.intp))  # The worker opens the store and the DEM.
+        km2 = areas * copies * self._km2
+        about = {"km2": km2, "areas": areas, "places": len(here), "bytes": len(here) * self._row}
+        one, alone = self._measured(here)
+        whole = about | {"process": "one", **alone[0], "seconds": one.seconds}
+        spread, by_process = self._measured(there)
+        busiest = max(figures["cpu_seconds"] for figures in by_process[1:])
+        share = about | {"bytes": about["bytes"] / self._runner.workers, "seconds": spread.seconds}
+        rows = [whole | {"equal": True, "times_as_fast": 1.0}]
+        for number, figures in enumerate(by_process):
+            rows.append(share | {"process": f"worker {number}", **figures})
+        took = by_process[0]["cpu_seconds"] + busiest
+        rows[1] |= {
+            "process": "asking",
+            "bytes": 0,
+            "equal": _are_equal(one.poses, spread.poses),
+            "times_as_fast": alone[0]["cpu_seconds"] / took,
+        }
+        killed = self._killed(there, 0.5 * spread.seconds)
+        again = {"process": "asking, a worker killed", "seconds": killed.seconds}
+        return [*rows, about | again | {"equal": _are_equal(one.poses, killed.poses)}]
+
+    def _measured(self, retriever: Retriever) -> tuple["_Found", list[dict[str, float]]]:
+        """Return what was found, and the processor time and the memory of each process.
+
+        This process comes first, then the workers.
+        """
+        before = self._usage()
+        found = self._found(retriever)
+        after = self._usage()
+        return found, [
+            {"cpu_seconds": now[0] - then[0], "peak_bytes": now[1]}
+            for then, now in zip(before, after, strict=True)
+        ]
+
+    def _usage(self) -> list[tuple[float, int]]:
+        workers = self._runner.client.run(_usage)
+        return [_usage(), *(workers[address] for address in sorted(workers))]
+
+    def _killed(self, retriever: Retriever, after_s: float) -> "_Found":
+        """Return what is found if a worker is killed meanwhile."""
+        pids = self._runner.client.run(os.getpid)
+        victim = threading.Timer(after_s, os.kill, (min(pids.values()), signal.SIGKILL))
+        victim.start()
+        found = self._found(retriever)
+        victim.join()
+        return found
+
+    @one_blas_thread()
+    def _found(self, retriever: Retriever) -> "_Found":
+        started = time.perf_counter()
+        *_, poses = retriever.shortlists(self._rays, _LISTED, NOTHING_KNOWN, silent)
+        return _Found(poses, time.perf_counter() - started)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Found:
+    """A short list, and the seconds that it took."""
+
+    poses: Poses
+    seconds: float
+
+
+def _usage() -> tuple[float, int]:
+    """Return the processor time and the greatest memory of a process so far."""
+    return time.process_time(), peak_bytes() or 0
+
+
+def _are_equal(one: Poses, other: Poses) -> bool:
+    """Return whether poses are equal to the bit."""
+    names = ("easting_m", "northing_m", "grid_heading_deg", "pitch_deg", "fov_deg", "cost")
+    return all(np.array_equal(getattr(one, name), getattr(other, name)) for name in names)

@@ -1,0 +1,163 @@
+"""A shard: places of one elevation model, and what a search asks of them.
+
+A search ranks the places of all shards together. It asks each shard for scores, turns and fits of
+the shard's own places, and chooses among what it gets. A shard keeps nothing about a photo.
+"""
+
+import math
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from skyline.arrays import BoolArray, Float32Array, Float64Array, IntArray, Rows
+from skyline.match.fit import CurveFit, FitEffort
+from skyline.match.posterior import AlikePlaces
+from skyline.match.prior import Prior
+from skyline.match.rays import Rays, in_runs
+from skyline.match.screen import (
+    CHOSEN_AT_ONCE,
+    Alike,
+    ReportProgress,
+    Scores,
+    Screen,
+    rescored,
+    screen_places,
+    silent,
+)
+from skyline.pose import Poses
+from skyline.store.mapped_places import PlaceSource
+from skyline.store.places import Places
+from skyline.terrain.heightfield import Ground, ground_slope
+
+_FITS_AT_ONCE = 2048
+"""Poses fitted together. With 256, two threads spend half their time waiting for the GIL."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Starts(Rows):
+    """The starts of N fits."""
+
+    row: IntArray
+    """(N,) intp. Row of the place."""
+    score: Float32Array
+    heading_rad: Float64Array
+    log_scale: Float64Array
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Turns(Rows):
+    """The best C turns of each of N places; see `Screen.best_turns`."""
+
+    heading_deg: Float64Array
+    fov: IntArray
+    peak: Float32Array
+
+
+class Shard:
+    """Places of one elevation model.
+
+    Without ``ground`` the ground around each place is taken to be level.
+    """
+
+    def __init__(self, places: PlaceSource, ground: Ground | None = None) -> None:
+        self._places = places
+        self._ground = ground
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+    def take(self, rows: IntArray) -> Places:
+        """Return some places (M,), in order."""
+        return self._places.take(rows)
+
+    def screened(
+        self,
+        screens: Sequence[Screen],
+        priors: Sequence[Prior],
+        count: int,
+        least: float = -math.inf,
+        report: ReportProgress = silent,
+    ) -> Alike:
+        """Return the best ``count`` places for photos, whose scores are added.
+
+        The places lie within the narrowings of all priors, which are in the shard's frame, and have
+        scores of ``least`` or more.
+        """
+
+        def contains(some: Places) -> BoolArray:
+            return np.asarray(np.all([prior.contains(some) for prior in priors], axis=0))
+
+        scores = _sum_of(screens)
+        found = screen_places(scores, self._places, count, contains, report)
+        return found[found.score >= least]
+
+    def alike_places(
+        self, screens: Sequence[Screen], priors: Sequence[Prior], report: ReportProgress = silent
+    ) -> AlikePlaces:
+        """Return all places within the narrowings of all priors, with their scores for photos."""
+        alike = self.screened(screens, priors, len(self), report=report)
+        columns = [(one.easting_m, one.northing_m, one.tolerance_m) for one in self._places.blocks()]
+        easting_m, northing_m, half_m = (
+            np.concatenate(column)[alike.row] for column in zip(*columns, strict=True)
+        )
+        score = alike.score.astype(np.float64)
+        return AlikePlaces(easting_m, northing_m, half_m.astype(np.float64), score)
+
+    def rescored(self, screens: Sequence[Screen], rows: IntArray) -> Float32Array:
+        """Return the sums of photos' scores at places (M,), in order."""
+        return rescored(_sum_of(screens), self._places, rows)
+
+    def best_turns(self, screen: Screen, rows: IntArray, count: int) -> Turns:
+        """Return the best turns of places (M,)."""
+        groups = range(0, len(rows), CHOSEN_AT_ONCE)
+
+        def found(k: int) -> Turns:
+            phase = self._places.phases(rows[k : k + CHOSEN_AT_ONCE])
+            heading_deg, fov, peak = screen.best_turns(phase, count)
+            return Turns(heading_deg=heading_deg, fov=fov, peak=peak)
+
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            return Turns.concatenate(list(pool.map(found, groups)))
+
+    def fitted(
+        self, rays: Rays, starts: Starts, effort: FitEffort, report: ReportProgress = silent
+    ) -> Poses:
+        """Return the poses fitted from starts, in order."""
+        means = in_runs(rays, effort.runs)
+
+        def fitted(first: int) -> Poses:
+            part = starts[slice(first, first + _FITS_AT_ONCE)]
+            places = self._places.take(part.row)
+            fit = CurveFit(places, self._slope(places), means, effort)
+            poses = fit.fit(part.heading_rad, part.log_scale)
+            # Both count: a fit compares more than screening does, but assumes that the photo was
+            # taken near its place.
+            return replace(poses, cost=poses.cost - part.score)
+
+        parts = range(0, len(starts), _FITS_AT_ONCE)
+        found = []
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            try:
+                for poses in pool.map(fitted, parts):
+                    found.append(poses)
+                    report("fitting", len(found) / len(parts))
+            except BaseException:
+                # The report may end the match: fits that have not begun are dropped.
+                pool.shutdown(cancel_futures=True)
+                raise
+        return Poses.concatenate(found)
+
+    def _slope(self, places: Places) -> Float32Array:
+        """Return the ground's rise (M, 2) to the east and north."""
+        if self._ground is None:
+            return np.zeros((len(places), 2), dtype=np.float32)
+        rise = ground_slope(self._ground, places.easting_m, places.northing_m)
+        return rise.astype(np.float32)
+
+
+def _sum_of(screens: Sequence[Screen]) -> Scores:
+    """Return a function that adds the scores of several photos."""
+    return lambda phase: np.sum([screen.scores(phase) for screen in screens], axis=0)

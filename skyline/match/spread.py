@@ -1,0 +1,166 @@
+"""Shards of a search on the workers of a cluster.
+
+The process that matches ranks, chooses and refines. Workers screen the places and fit poses to
+them, each its own part, of which it alone reads the bytes. A worker keeps nothing about a photo, so
+another one can answer in its place: if it dies, that one is asked. The answers are those of one
+process, to the bit.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from skyline.arrays import Float32Array, IntArray
+from skyline.files import version_of
+from skyline.match.fit import FitEffort
+from skyline.match.matcher import terrain_at_hand
+from skyline.match.posterior import AlikePlaces
+from skyline.match.prior import Prior
+from skyline.match.rays import Rays
+from skyline.match.screen import Alike, ReportProgress, Screen, silent
+from skyline.match.search import one_blas_thread
+from skyline.match.shard import Shard, Starts, Turns
+from skyline.pose import Poses
+from skyline.store.layout import PLACES_A_CHUNK
+from skyline.store.mapped_places import PartOfPlaces, PlaceMap
+from skyline.store.merge import by_model, open_joined
+from skyline.store.places import Places
+from skyline.survey.cluster import Opening, Runner, Tell
+from skyline.terrain.dem import Dem
+from skyline.terrain.heightfield import Ground, ground_of
+
+_PARTS_A_WORKER = 4
+"""Parts of the places for each worker: the best places lie close together, and each should fit its
+share of them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """Rows of an area's places, and the number of the worker that is asked about them."""
+
+    area: int
+    first: int
+    stop: int
+    worker: int
+
+
+class OpenAreas:
+    """The areas of stores, opened on a worker; ``stores`` and ``dem`` are as for `Matcher`."""
+
+    def __init__(self, stores: Sequence[Path], dem: Dem | None = None) -> None:
+        self._areas: list[tuple[PlaceMap, Ground | None]] = []
+        for group in by_model(stores):
+            with open_joined(group) as file:
+                if dem is None:
+                    terrain = terrain_at_hand(file.header, "answers unrefined")
+                else:
+                    terrain = file.header.read_dem(dem)
+                ground = None if terrain is None else ground_of(terrain)
+                self._areas.append((file.places(), ground))
+
+    def shard(self, part: Part) -> Shard:
+        """Return a part of an area."""
+        places, ground = self._areas[part.area]
+        return Shard(PartOfPlaces(places, part.first, part.stop), ground)
+
+    def close(self) -> None:
+        """Free nothing: the files are mapped."""
+
+
+class DistantShard(Shard):
+    """A part of the places of an area that a worker searches."""
+
+    def __init__(self, runner: Runner, opening: Opening[OpenAreas], part: Part) -> None:
+        self._runner = runner
+        self._opening = opening
+        self._part = part
+
+    def __len__(self) -> int:
+        return self._part.stop - self._part.first
+
+    def take(self, rows: IntArray) -> Places:
+        """See `Shard.take`."""
+        places: Places = self._ask("take", rows)
+        return places
+
+    def screened(
+        self,
+        screens: Sequence[Screen],
+        priors: Sequence[Prior],
+        count: int,
+        least: float = -math.inf,
+        report: ReportProgress = silent,
+    ) -> Alike:
+        """See `Shard.screened`; nothing is reported."""
+        alike: Alike = self._ask("screened", screens, priors, count, least)
+        return alike
+
+    def alike_places(
+        self, screens: Sequence[Screen], priors: Sequence[Prior], report: ReportProgress = silent
+    ) -> AlikePlaces:
+        """See `Shard.alike_places`; nothing is reported."""
+        alike: AlikePlaces = self._ask("alike_places", screens, priors)
+        return alike
+
+    def rescored(self, screens: Sequence[Screen], rows: IntArray) -> Float32Array:
+        """See `Shard.rescored`."""
+        score: Float32Array = self._ask("rescored", screens, rows)
+        return score
+
+    def best_turns(self, screen: Screen, rows: IntArray, count: int) -> Turns:
+        """See `Shard.best_turns`."""
+        turns: Turns = self._ask("best_turns", screen, rows, count)
+        return turns
+
+    def fitted(
+        self, rays: Rays, starts: Starts, effort: FitEffort, report: ReportProgress = silent
+    ) -> Poses:
+        """See `Shard.fitted`; nothing is reported."""
+        poses: Poses = self._ask("fitted", rays, starts, effort)
+        return poses
+
+    def _ask(self, what: str, *given: Any) -> Any:
+        item = self._part, what, given
+        return self._runner.ask(_answer, self._opening, item, self._part.worker)
+
+
+def _answer(areas: OpenAreas, item: tuple[Part, str, Any], _: Tell) -> Any:
+    """Return what a shard answers, on a worker."""
+    part, what, given = item
+    with one_blas_thread():
+        return getattr(areas.shard(part), what)(*given)
+
+
+def opening_of(stores: Sequence[str | Path], dem: Any = None) -> Opening[OpenAreas]:
+    """Return how workers open stores, which they find under the same paths.
+
+    ``dem`` holds paths, as for `Matcher`.
+    """
+    paths = tuple(Path(one).absolute() for one in stores)
+    # A worker that outlives this process must not take a file for the one it has replaced.
+    versions = tuple(map(version_of, [*paths, *map(Path, dem or ())]))
+    return Opening((versions, paths, dem), partial(OpenAreas, paths, dem))
+
+
+def distant_shards(
+    runner: Runner, opening: Opening[OpenAreas], rows: Sequence[int]
+) -> list[list[DistantShard]]:
+    """Return the shards of areas with so many places each.
+
+    All workers have as many places.
+    """
+    blocks = max(1, -(-sum(rows) // (_PARTS_A_WORKER * max(runner.workers, 1) * PLACES_A_CHUNK)))
+    shards = []
+    number = 0
+    for area, count in enumerate(rows):
+        starts = range(0, count, blocks * PLACES_A_CHUNK)
+        some = []
+        for first in starts:
+            part = Part(area, first, min(first + starts.step, count), number)
+            some.append(DistantShard(runner, opening, part))
+            number += 1
+        shards.append(some)
+    return shards
