@@ -251,8 +251,9 @@ def _pointing(
 ) -> Pointing:
     """Return the direction of a way, with its errors.
 
-    The way (3,) leads to the east, to the north and up; ``by`` (3, K) are the way's derivatives by the unknowns of a pose and others, of which
-    ``covariance`` (K, K) is known. The direction has the errors ``least_sd_deg`` (2,), besides.
+    The way (3,) leads to the east, to the north and up. ``by`` (3, K) are its derivatives by the
+    unknowns of a pose and others, of which ``covariance`` (K, K) is known. The direction has the
+    errors ``least_sd_deg`` (2,), besides.
     """
     azimuth_deg, elevation_deg = np.degrees(_angles(way)).tolist()
     no_heading = np.where(np.arange(by.shape[1]) == HEADING, 0.0, by)

@@ -160,8 +160,8 @@ class _Search:
         )
         far = distant_shards(self._runner, opening, [len(places)] * areas)
         there = Retriever(far, frames, at_once=2 * self._runner.workers)
-        for some in far[0][: self._runner.workers]:
-            some.take(np.zeros(1, dtype=np.intp))  # The worker opens the store and the DEM.
+        for warming in (Retriever([[shard]]), Retriever(far[:1], at_once=2 * self._runner.workers)):
+            self._found(warming)  # Each process opens the store and the DEM.
         km2 = areas * copies * self._km2
         about = {"km2": km2, "areas": areas, "places": len(here), "bytes": len(here) * self._row}
         one, alone = self._measured(here)

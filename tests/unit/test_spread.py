@@ -55,7 +55,7 @@ def test_workers_find_what_one_process_finds_to_the_bit(store):
 
 
 def test_areas_are_cut_where_they_begin():
-    """Two workers of four parts each, of 6 blocks: a part has one block."""
+    """Two workers of two parts each, of 6 blocks: a part has two blocks."""
     west, east = distant_shards(HereRunner(2), opening_of([]), [1500, 4000])
-    assert [len(shard) for shard in west] == [1024, 476]
-    assert [len(shard) for shard in east] == [1024, 1024, 1024, 928]
+    assert [len(shard) for shard in west] == [1500]
+    assert [len(shard) for shard in east] == [2048, 1952]
