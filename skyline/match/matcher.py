@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
+from pyproj import CRS
 from PIL.Image import Image
 
 from skyline.errors import InputError, SkylineError, StoreError
@@ -140,6 +141,8 @@ class Matcher(Closeable):
             # Costs of refined poses do not compare with others: all are refined, or none.
             self.close()
         self.areas = tuple(area for area, _ in opened)
+        if any(area.frame.lonlat_crs != self.crs for area in self.areas):
+            raise InputError("the stores are of several worlds; name those of one")
         self.rows = sum(area.rows for area in self.areas)
         self.holds = method.holds
         methods = [one for _, one in opened]
@@ -184,6 +187,11 @@ class Matcher(Closeable):
     def frame(self) -> Frame:
         """The frame of the store; raises as `only_area`."""
         return self.only_area().frame
+
+    @property
+    def crs(self) -> CRS:
+        """The CRS of the results' longitudes and latitudes."""
+        return self.areas[0].frame.lonlat_crs
 
     @property
     def terrain(self) -> HeightField | None:
@@ -288,7 +296,7 @@ class Matcher(Closeable):
             verdict.within_m,
             name,
             narrowing=narrowing or Narrowing(),
-            crs=self.frame.lonlat_crs,
+            crs=self.crs,
         )
 
     def _weighed(self, candidates: tuple[Pose, ...], skyline: PhotoSkyline) -> tuple[Pose, ...]:
@@ -364,7 +372,7 @@ class Matcher(Closeable):
                 verdict.refusal,
                 verdict.within_m,
                 photo.name,
-                crs=self.frame.lonlat_crs,
+                crs=self.crs,
             )
             if number in found
             else MatchResult(photo.skyline, (), seconds, photo.refusal or apart, name=photo.name)
@@ -493,7 +501,7 @@ class Matcher(Closeable):
             answer = searched.answer if searched else None
             refusal = Verdict.of_fit(pose, answer, self._config).refusal
             candidates = () if pose is None else (_without_search(pose, refusal),)
-            result = MatchResult(skyline, candidates, 0.0, refusal, crs=self.frame.lonlat_crs)
+            result = MatchResult(skyline, candidates, 0.0, refusal, crs=self.crs)
         return replace(result, seconds=time.perf_counter() - started, narrowing=None)
 
     def _fitted(

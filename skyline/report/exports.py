@@ -291,15 +291,16 @@ def export_matches(
         world than the Earth, or the file cannot be written.
     """
     path = Path(path)
-    if not frame.is_of_earth:
+    frames = [frame] if isinstance(frame, Frame) else frame
+    elsewhere = next((one for one in frames if not one.is_of_earth), None)
+    if elsewhere is not None:
         raise InputError(
-            f"{path} would show places of another world ({frame.name}) on the Earth; take the "
+            f"{path} would show places of another world ({elsewhere.name}) on the Earth; take the "
             "candidates from the results"
         )
     results = listed(results)
     if photos is not None and len(photos) != len(results):
         raise InputError(f"{len(photos)} photos are given for {len(results)} results")
-    frames = [frame] if isinstance(frame, Frame) else frame
     content = EXPORTS[suffix_of(path, EXPORTS)](path, results, frames, photos)
     write_with_folders(path, content)
 
