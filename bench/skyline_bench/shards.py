@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
+from numpy.typing import NDArray
 from typer import Option
 
 from skyline import MatchConfig, build_places, open_store, read_dem
@@ -93,7 +94,7 @@ class _Again(PlaceMap):
     """Whole blocks of places, again and again, as the places of one area."""
 
     def __init__(self, places: PlaceMap, copies: int) -> None:
-        self._places = places
+        self._once = places
         self._blocks = len(places) // PLACES_A_CHUNK
         self._copies = copies
 
@@ -108,13 +109,13 @@ class _Again(PlaceMap):
         stop = len(self) if stop is None else stop
         for start in range(first, stop, PLACES_A_CHUNK):
             row = start % self._rows
-            yield from self._places.blocks(row, row + PLACES_A_CHUNK)
+            yield from self._once.blocks(row, row + PLACES_A_CHUNK)
 
     def phases(self, rows: IntArray) -> UInt8Array:
-        return self._places.phases(rows % self._rows)
+        return self._once.phases(rows % self._rows)
 
-    def take(self, rows: IntArray) -> Places:
-        return self._places.take(rows % self._rows)
+    def take(self, rows: NDArray[np.integer[Any]]) -> Places:
+        return self._once.take(rows % self._rows)
 
 
 class _SameArea(OpenAreas):

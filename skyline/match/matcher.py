@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
-from pyproj import CRS
 from PIL.Image import Image
+from pyproj import CRS
 
 from skyline.errors import InputError, SkylineError, StoreError
 from skyline.files import is_file, on_disk

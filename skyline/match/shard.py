@@ -99,7 +99,9 @@ class Shard:
     ) -> AlikePlaces:
         """Return all places within the narrowings of all priors, with their scores for photos."""
         alike = self.screened(screens, priors, len(self), report=report)
-        columns = [(one.easting_m, one.northing_m, one.tolerance_m) for one in self._places.blocks()]
+        columns = [
+            (one.easting_m, one.northing_m, one.tolerance_m) for one in self._places.blocks()
+        ]
         easting_m, northing_m, half_m = (
             np.concatenate(column)[alike.row] for column in zip(*columns, strict=True)
         )
