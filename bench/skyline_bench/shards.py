@@ -95,12 +95,12 @@ class _Again(PlaceMap):
 
     def __init__(self, places: PlaceMap, copies: int) -> None:
         self._once = places
-        self._blocks = len(places) // PLACES_A_CHUNK
+        self._whole = len(places) // PLACES_A_CHUNK
         self._copies = copies
 
     @property
     def _rows(self) -> int:
-        return self._blocks * PLACES_A_CHUNK
+        return self._whole * PLACES_A_CHUNK
 
     def __len__(self) -> int:
         return self._copies * self._rows
