@@ -26,7 +26,7 @@ _CORRELATED = 1000
 """Most places whose height errors are told apart; of more, neighbours are taken together."""
 _JUMP = 1.5
 """Ratio of the distances of two neighbouring points from which on no slope joins them. On level
-ground a piece of 4 pixels changes the distance so much only within about a degree of the horizon."""
+ground, 4 pixels change the distance so much only within about a degree of the horizon."""
 
 
 @dataclass(frozen=True, slots=True)
