@@ -25,8 +25,8 @@ _MOST_PIECES = 5000
 _CORRELATED = 1000
 """Most places whose height errors are told apart; of more, neighbours are taken together."""
 _JUMP = 1.5
-"""Least ratio of the distances of two neighbouring points that no slope joins. On level ground a
-piece of a line is so long only where it is seen at less than a degree."""
+"""Ratio of the distances of two neighbouring points from which on no slope joins them. On level
+ground, 4 pixels change the distance so much only within about a degree of the horizon."""
 
 
 @dataclass(frozen=True, slots=True)
