@@ -99,23 +99,23 @@ class _Again(PlaceMap):
         self._copies = copies
 
     @property
-    def _rows(self) -> int:
+    def _length(self) -> int:
         return self._whole * PLACES_A_CHUNK
 
     def __len__(self) -> int:
-        return self._copies * self._rows
+        return self._copies * self._length
 
     def blocks(self, first: int = 0, stop: int | None = None) -> Iterator[Places]:
         stop = len(self) if stop is None else stop
         for start in range(first, stop, PLACES_A_CHUNK):
-            row = start % self._rows
+            row = start % self._length
             yield from self._once.blocks(row, row + PLACES_A_CHUNK)
 
     def phases(self, rows: IntArray) -> UInt8Array:
-        return self._once.phases(rows % self._rows)
+        return self._once.phases(rows % self._length)
 
     def take(self, rows: NDArray[np.integer[Any]]) -> Places:
-        return self._once.take(rows % self._rows)
+        return self._once.take(rows % self._length)
 
 
 class _SameArea(OpenAreas):
