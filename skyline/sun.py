@@ -46,8 +46,8 @@ def check_is_earth(crs: CRS) -> None:
     """Raise `InputError` for a DEM of another world, over which the sun stands elsewhere."""
     if not is_of_earth(crs):
         raise InputError(
-            f"the DEM is of another world, with a radius of {half_axes_m(crs)[0] / 1e3:.0f} km, and "
-            "sun and moon are computed for the Earth; give a DEM of the Earth"
+            f"the DEM is of another world, of {half_axes_m(crs)[0] / 1e3:.0f} km radius, and sun "
+            "and moon are computed for the Earth; give a DEM of the Earth"
         )
 
 
