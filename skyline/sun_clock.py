@@ -323,7 +323,8 @@ def times_at(pointing: Pointing, sky: Sky, body: Body, day: date, lon: float) ->
 def heading_at(pose: Pose, pointing: Pointing, sky: Sky, body: Body, at: datetime) -> SunHeading:
     """Return the heading of a pose if a body stood in a direction at a time.
 
-    Raises `InputError` if the body is below the horizon.
+    Raises `InputError` if the body is below the horizon, or stood far above or below the direction,
+    whatever the heading.
     """
     seen = sky.look(body, at)
     if seen.elevation_deg < _LEAST_ELEVATION_DEG:
@@ -334,6 +335,13 @@ def heading_at(pose: Pose, pointing: Pointing, sky: Sky, body: Body, at: datetim
         )
     aside_deg, above_deg = pointing.off_deg(seen)[0].tolist()
     known = np.isfinite(pointing.elevation_deg)
+    above_sds = abs(above_deg) / math.sqrt(pointing.covariance[1, 1])
+    if known and above_sds > _FARTHEST_SDS:
+        raise InputError(
+            f"the {body} stood at {seen.elevation_deg:.1f} degrees at {at:%Y-%m-%d %H:%M} UTC, and "
+            f"the photo has it at {pointing.elevation_deg:.1f}, {above_sds:.0f} standard errors "
+            "off, whatever the heading; check the time and its zone, the pixel and the pitch"
+        )
     return SunHeading(
         heading_deg=(pose.heading_deg + aside_deg) % 360.0,
         sd_deg=pointing.from_axis_sd_deg,

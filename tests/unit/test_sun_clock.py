@@ -112,6 +112,15 @@ def test_the_sun_at_a_known_time_tells_the_heading():
         heading_at(pose, pointing, sky_of(pose), Body.SUN, datetime(2026, 3, 1, 22, tzinfo=UTC))
 
 
+def test_a_sun_that_stood_higher_than_its_pixel_tells_no_heading():
+    pose = camera_at(pitch_deg=10.0)
+    sun = sky_of(pose).look(Body.SUN, MORNING)
+    pixel = pixel_of(pose, sun.azimuth_deg, sun.elevation_deg)
+    pointing = body_pointing(pose, PHOTO, pixel, SURE)
+    with pytest.raises(InputError, match="whatever the heading; check the time"):
+        heading_at(pose, pointing, sky_of(pose), Body.SUN, MORNING + timedelta(hours=1))
+
+
 def view_of(pose):
     return Viewer(PLAIN, curvature=FLAT).ground_view(pose, PHOTO)
 
