@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
+from numpy.typing import NDArray
 from typer import Option
 
 from skyline import MatchConfig, build_places, open_store, read_dem
@@ -93,28 +94,28 @@ class _Again(PlaceMap):
     """Whole blocks of places, again and again, as the places of one area."""
 
     def __init__(self, places: PlaceMap, copies: int) -> None:
-        self._places = places
-        self._blocks = len(places) // PLACES_A_CHUNK
+        self._source = places
+        self._chunks = len(places) // PLACES_A_CHUNK
         self._copies = copies
 
     @property
-    def _rows(self) -> int:
-        return self._blocks * PLACES_A_CHUNK
+    def _whole(self) -> int:
+        return self._chunks * PLACES_A_CHUNK
 
     def __len__(self) -> int:
-        return self._copies * self._rows
+        return self._copies * self._whole
 
     def blocks(self, first: int = 0, stop: int | None = None) -> Iterator[Places]:
         stop = len(self) if stop is None else stop
         for start in range(first, stop, PLACES_A_CHUNK):
-            row = start % self._rows
-            yield from self._places.blocks(row, row + PLACES_A_CHUNK)
+            row = start % self._whole
+            yield from self._source.blocks(row, row + PLACES_A_CHUNK)
 
     def phases(self, rows: IntArray) -> UInt8Array:
-        return self._places.phases(rows % self._rows)
+        return self._source.phases(rows % self._whole)
 
-    def take(self, rows: IntArray) -> Places:
-        return self._places.take(rows % self._rows)
+    def take(self, rows: NDArray[np.integer[Any]]) -> Places:
+        return self._source.take(rows % self._whole)
 
 
 class _SameArea(OpenAreas):
