@@ -94,28 +94,28 @@ class _Again(PlaceMap):
     """Whole blocks of places, again and again, as the places of one area."""
 
     def __init__(self, places: PlaceMap, copies: int) -> None:
-        self._once = places
-        self._whole = len(places) // PLACES_A_CHUNK
+        self._source = places
+        self._chunks = len(places) // PLACES_A_CHUNK
         self._copies = copies
 
     @property
-    def _length(self) -> int:
-        return self._whole * PLACES_A_CHUNK
+    def _whole(self) -> int:
+        return self._chunks * PLACES_A_CHUNK
 
     def __len__(self) -> int:
-        return self._copies * self._length
+        return self._copies * self._whole
 
     def blocks(self, first: int = 0, stop: int | None = None) -> Iterator[Places]:
         stop = len(self) if stop is None else stop
         for start in range(first, stop, PLACES_A_CHUNK):
-            row = start % self._length
-            yield from self._once.blocks(row, row + PLACES_A_CHUNK)
+            row = start % self._whole
+            yield from self._source.blocks(row, row + PLACES_A_CHUNK)
 
     def phases(self, rows: IntArray) -> UInt8Array:
-        return self._once.phases(rows % self._length)
+        return self._source.phases(rows % self._whole)
 
     def take(self, rows: NDArray[np.integer[Any]]) -> Places:
-        return self._once.take(rows % self._length)
+        return self._source.take(rows % self._whole)
 
 
 class _SameArea(OpenAreas):
