@@ -95,7 +95,7 @@ class LocalHorizons:
     flags: UInt8Array
     surface_deg: Float32Array
     id: NDArray[np.str_]
-    crs: CRS = field(default=WGS84)
+    crs: CRS = field(default_factory=lambda: WGS84)
 
     @property
     def shape(self) -> tuple[int, ...]:

@@ -230,7 +230,7 @@ class PixelPlaces(ShortRepr):
     lat: Float64Array
     elevation_m: Float32Array
     step: int = 1
-    crs: CRS = field(default=WGS84, repr=False)
+    crs: CRS = field(default_factory=lambda: WGS84, repr=False)
 
     def to_xarray(self) -> Dataset:
         """Return the places as a dataset, NaN for sky.

@@ -90,7 +90,7 @@ class MatchResult:
     name: str = ""
     id: str = ""
     narrowing: Narrowing | None = None
-    crs: CRS = field(default=WGS84)
+    crs: CRS = field(default_factory=lambda: WGS84)
 
     @property
     def best(self) -> Pose | None:
