@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from skyline.arrays import BoolArray, Float64Array, Progress, Rows
 from skyline.camera import Camera
@@ -171,7 +172,11 @@ class GroundView:
     def points(
         self, column_px: Float64Array, row_px: Float64Array, errors: GroundErrors | None = None
     ) -> GroundPoints:
-        """Return the ground that N pixels show, with its errors."""
+        """Return the ground that N pixels show, with its errors.
+
+        Raises `InputError` unless columns and rows are N finite numbers each.
+        """
+        column_px, row_px = _finite_pixels(column_px, row_px)
         errors = errors or GroundErrors()
         height_sd_m = errors.height_sd_on(self.terrain)
         known = len(self.covariance)
@@ -275,3 +280,16 @@ class GroundView:
         mean_m = np.sqrt(np.mean(moved_m**2, axis=0))
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.asarray(_SDS * sd_m / mean_m)
+
+
+def _finite_pixels(column_px: ArrayLike, row_px: ArrayLike) -> tuple[Float64Array, Float64Array]:
+    """Return columns and rows (N,); raises as `GroundView.points`."""
+    column, row = (np.asarray(one, dtype=np.float64) for one in (column_px, row_px))
+    if column.ndim != 1 or column.shape != row.shape:
+        raise InputError(
+            f"columns are {column.shape} and rows {row.shape}; expected as many of each, (N,)"
+        )
+    off = ~np.isfinite(column + row)
+    if off.any():
+        raise InputError(f"pixel {int(off.argmax())} is not a finite column and row")
+    return column, row

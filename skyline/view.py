@@ -373,7 +373,7 @@ class Viewer(Closeable):
         self.frame = self.terrain.frame
         if peaks is not None:
             check_on_map(peaks, self.terrain)
-        self.curvature = curvature or self.frame.curvature
+        self.curvature = self.frame.curvature_or(curvature)
         self._thread = render_thread
         self._making = Lock()
         self._scene: RenderedScene | None = None

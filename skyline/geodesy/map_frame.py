@@ -119,6 +119,19 @@ class Frame:
         geod = self._geod
         return Curvature(radius_m=(2.0 * geod.a + geod.b) / 3.0, refraction_k=0.0)
 
+    def curvature_or(self, given: Curvature | None) -> Curvature:
+        """Return a given curvature, or the frame's.
+
+        Raises `InputError` for what is neither a curvature nor None.
+        """
+        if given is None:
+            return self.curvature
+        if not isinstance(given, Curvature):
+            raise InputError(
+                f"curvature is {given!r}; expected a Curvature, as Curvature(refraction_k=0.13)"
+            )
+        return given
+
     @cached_property
     def _geod(self) -> Geod:
         if self.is_of_earth:

@@ -57,7 +57,7 @@ class DepthRenderer(Renderer):
         super().__init__(f"depth {width} px")
         self.field = field
         self.width = check_width(width)
-        self.curvature = curvature or field.frame.curvature
+        self.curvature = field.frame.curvature_or(curvature)
         ctx = self._context.ctx
         largest = int(ctx.info["GL_MAX_TEXTURE_SIZE"])
         if max(field.rows, field.cols, width) > largest:

@@ -238,7 +238,7 @@ class ColumnRenderer(Renderer):
         super().__init__(name)
         self.field = field
         self.width = len(u)
-        self.curvature = curvature or field.frame.curvature
+        self.curvature = field.frame.curvature_or(curvature)
         self._limits = limits or GpuLimits()
         self._u = u
         self._widest_u = float(np.abs(u).max())

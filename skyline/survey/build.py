@@ -105,7 +105,7 @@ def build_places(
         The store at ``path``, or a part of it, was built from another DEM or with other settings.
     """
     field = read_dem(terrain)
-    plan = PlacePlan(spacing_m, bounds_deg, places, curvature or field.frame.curvature)
+    plan = PlacePlan(spacing_m, bounds_deg, places, field.frame.curvature_or(curvature))
     return build_store(field, path, plan, progress=progress)
 
 

@@ -72,6 +72,11 @@ def test_a_moon_has_its_radius_and_no_refraction(moon):
     assert Frame.local(lon=9.8, lat=46.8).curvature == Curvature(EARTH_RADIUS_M, 0.13)
 
 
+def test_a_number_is_no_curvature():
+    with pytest.raises(InputError, match=r"curvature is 0.13; expected a Curvature"):
+        Frame.local(lon=9.8, lat=46.8).curvature_or(0.13)
+
+
 def test_heights_of_a_moon_count_from_its_sphere(moon):
     assert moon.provenance.conventions["vertical_datum"] == (
         "sphere of 1737.4 km, assumed: none is named"

@@ -68,6 +68,15 @@ def test_errors_of_a_pose_move_a_place_on_level_ground_as_trigonometry_has_it(
     assert found.error_m[0] == pytest.approx(max(east_m, north_m), rel=0.02)
 
 
+@pytest.mark.parametrize(
+    ("column_px", "row_px"), [([1.0, np.nan], [1.0, 1.0]), ([1.0], [1.0, 2.0]), (1.0, 1.0)]
+)
+def test_pixels_are_as_many_finite_columns_as_rows(column_px, row_px):
+    view = view_at(ROUGH)
+    with pytest.raises(InputError, match="expected as many|not a finite"):
+        view.points(column_px, row_px)
+
+
 def test_points_on_the_ground_are_printed_by_their_shapes():
     view = view_at(PLANE, pitch_deg=-10.0)
     found = view.points(*straight_down_to(view, 500.0), EXACT)
