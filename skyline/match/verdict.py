@@ -33,9 +33,6 @@ class _Limits:
     near_slope_m: float = 150.0
     """Skylines nearer than this, by their harmonic mean distance, do not suffice in half of the
     photos: wrong slopes fit as well (docs/accuracy.md)."""
-    beyond_share: float = 0.5
-    """Where terrain beyond the edge of the elevation model may rise over more of the skyline, the
-    model shows less of it than it leaves open."""
     at_bound_share: float = 1e-3
     """A field of view counts as at an end of the searched range if its distance from the end is
     less than this share of the range: a fit held at a bound may differ from it by rounding."""
@@ -75,8 +72,8 @@ class Verdict:
         """
         if not candidates:
             return cls("no place fits")
+        doubts = [_lack_of_confidence(candidates, config)]
         best = candidates[0]
-        doubts = [_lack_of_confidence(candidates, config), _beyond_the_model(best, config)]
         unjudged = None
         if best.confidence is None and config.min_confidence > 0.0:
             unjudged = (
@@ -107,8 +104,8 @@ class Verdict:
             for name, other in others
             if other is not None and other.is_likely
         )
-        doubt = _lack_of_confidence(candidates[0], config) or _beyond_the_model(best, config)
-        return cls._on(best, doubt or next(bent, None), config)
+        refusal = _lack_of_confidence(candidates[0], config) or next(bent, None)
+        return cls._on(best, refusal, config)
 
     @classmethod
     def of_fit(cls, fitted: Pose | None, answer: Pose | None, config: MatchConfig) -> "Verdict":
@@ -248,17 +245,6 @@ def _lack_of_confidence(candidates: Sequence[Pose], config: MatchConfig) -> str 
     return (
         f"the best place has a confidence of {best.confidence_1km:.2f} within 1 km, and "
         f"{config.min_confidence:.2f} is needed" + _slope_hint(candidates)
-    )
-
-
-def _beyond_the_model(best: Pose, config: MatchConfig) -> str | None:
-    """Return the refusal of a pose whose skyline may lie beyond the model for the most part."""
-    share = best.beyond_share
-    if share is None or share <= _LIMITS.beyond_share or config.min_confidence == 0.0:
-        return None
-    return (
-        f"{100.0 * share:.0f} % of the skyline may be terrain beyond the edge of the elevation "
-        "model; give a model that reaches farther"
     )
 
 

@@ -61,14 +61,6 @@ def test_a_place_without_a_confidence_is_no_answer(rays):
     assert Verdict.of_search(candidates, None, bold, skyline_of(GIVEN_DEG), rays).refusal is None
 
 
-@pytest.mark.parametrize(("share", "refused"), [(0.69, True), (0.5, False), (None, False)])
-def test_a_skyline_mostly_beyond_the_model_is_no_answer(rays, share, refused):
-    sure = candidate_at(0.0, 0.0, fov_deg=GIVEN_DEG, confidence=0.95, confidence_1km=0.95)
-    why = verdict(rays, replace(sure, beyond_share=share)).refusal
-    assert (why is not None) == refused
-    assert not refused or why.startswith("69 % of the skyline may be terrain beyond the edge")
-
-
 @pytest.mark.parametrize(
     ("near", "roughly", "within_m"),
     [(0.9, 0.95, 200.0), (0.89, 0.95, 1000.0), (0.5, 0.8, 1000.0), (0.5, 0.79, None)],
