@@ -194,7 +194,8 @@ def test_a_fit_at_a_candidate_has_its_verdict(page, photo, downloads, moved):
     assert features[0]["properties"]["origin"] == "found, rank 1"
     assert features[0]["properties"]["confidence"] == best["confidence"]
     report = saved(page, downloads, "report", ".html").read_text()
-    assert re.search(r"Taken at latitude [^;]*, confidence 99\xa0%, right within 200 m\.", report)
+    sure = f"confidence {100.0 * best['confidence']:.0f}\xa0%"
+    assert re.search(rf"Taken at latitude [^;]*, {sure}, right within 200 m\.", report)
     # What is known has changed, so no search stands, and the fit is judged alone.
     page.script("document.getElementById('known').open = true")
     page.click("#heading-known")
