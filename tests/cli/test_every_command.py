@@ -35,7 +35,7 @@ COMMANDS = {
         ("{photo}", "{photo}", "--pose", "{pose}", "--pose", "{aside}", *MIDDLES, *IN_DEM),
         "tasks.cross.read_dem",
     ),
-    "when": ((*POSED, "--time", "2026-06-21T12:00Z", "--sun", "1,1", "-q"), "tasks.when.read_dem"),
+    "when": ((*POSED, "--time", "2026-06-21T05:45Z", "--sun", "1,1", "-q"), "tasks.when.read_dem"),
     "draw": ((*POSED, "--vectors", "{drawn}", "-o", "{out}.kml"), "tasks.draw.read_dem"),
     "ortho": ((*POSED, "-o", "{out}.tif"), "tasks.ortho.read_dem"),
     "orient": (("{trace}", *PLACED, "-o", "{out}.csv"), "orient.read_terrain"),
