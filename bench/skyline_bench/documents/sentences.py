@@ -165,7 +165,7 @@ SENTENCES: Mapping[str, Sequence[Sentence]] = {
             lambda results: [f"{_plain(results, 'matching')['query_s']:.1f}"],
         ),
         Sentence(
-            "Of {} real photographs, searched in all of California without a hint of the place, {} "
+            "Of {} real photographs, searched in 455,000 km2 without a hint of the place, {} "
             "are placed within 200 m; {} are answered, {} of them rightly",
             _without_a_hint,
         ),
