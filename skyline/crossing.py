@@ -88,7 +88,7 @@ def cross(
     rays : sequence of Ray
         Two or more, of cameras in one frame.
     errors : GroundErrors, optional
-        The error of a pixel; that of the model's heights does not count.
+        The pixels' error counts; the error of the model's heights does not.
 
     Raises
     ------

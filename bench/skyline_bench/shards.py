@@ -45,9 +45,9 @@ from skyline_bench.measuring import Row, peak_bytes, square_km
 from skyline_bench.queries.synthetic import make_queries
 
 _AREA_KM2 = 1e5
-"""Size of an area, as of the stores of nine to forty tiles."""
+"""Size of an area. A store of nine tiles has as much."""
 _LISTED = 400
-"""Poses of a short list, as of a search of few places."""
+"""Poses of a short list; a search of few places has as many."""
 
 
 def shards(
@@ -185,9 +185,9 @@ class _Search:
         return [*rows, about | again | {"equal": _are_equal(one.poses, killed.poses)}]
 
     def _measured(self, retriever: Retriever) -> tuple["_Found", list[dict[str, float]]]:
-        """Return what was found, and the processor time and the memory of each process.
+        """Return what a search finds, and what it costs each process.
 
-        This process comes first, then the workers.
+        Costs are processor seconds and peaks of memory: this process's first, then the workers'.
         """
         before = self._usage()
         found = self._found(retriever)
@@ -202,7 +202,7 @@ class _Search:
         return [_usage(), *(workers[address] for address in sorted(workers))]
 
     def _killed(self, retriever: Retriever, after_s: float) -> "_Found":
-        """Return what is found if a worker is killed meanwhile."""
+        """Return what a search finds while a worker is killed."""
         pids = self._runner.client.run(os.getpid)
         victim = threading.Timer(after_s, os.kill, (min(pids.values()), signal.SIGKILL))
         victim.start()

@@ -225,6 +225,7 @@ class Matcher(Closeable):
     @cached_property
     def viewpoints(self) -> Viewpoints:
         """The eyes of the store, or an even selection of very many; raises as `only_area`."""
+        self.only_area()
         return self._method.eyes()
 
     def __repr__(self) -> str:
@@ -403,11 +404,12 @@ class Matcher(Closeable):
         StoreError
             See `match`.
         """
+        area = self.only_area()
         photos, candidates = _searched(result)
         known = [self._rays_and_prior(skyline, narrowing) for skyline, narrowing in photos]
         fitted, places = self._method.likely_places(known, report_progress)
         noted = next((prior.noted for _, prior in known if prior.noted is not None), None)
-        return posterior_of(candidates, fitted, places, self.frame, noted)
+        return posterior_of(candidates, fitted, places, area.frame, noted)
 
     def _read(
         self,
@@ -443,6 +445,7 @@ class Matcher(Closeable):
         """
         if len(usable) < 2:
             return {}
+        self.only_area()
         together, agrees = self._method.search_together(list(usable.values()), top, report)
         return {
             number: self._on_map(poses)

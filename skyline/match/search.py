@@ -116,11 +116,7 @@ class FullMatcher(SearchMethod):
         return FullMatcher(areas, at_once)
 
     def eyes(self) -> Viewpoints:
-        """Return the eyes of the places; of very many, every n-th.
-
-        Raises `InputError` for several areas.
-        """
-        self._check_one_area()
+        """Return the eyes of the places; of very many, every n-th."""
         some = self.retriever.sample(20_000)
         eyes = (some.easting_m, some.northing_m, some.eye_elevation_m)
         east_m, north_m, eye_m = (column.astype(np.float64) for column in eyes)
@@ -197,11 +193,7 @@ class FullMatcher(SearchMethod):
     def likely_places(
         self, photos: Sequence[tuple[Rays, Prior]], report: ReportProgress = silent
     ) -> tuple[Poses, AlikePlaces]:
-        """Return what is known of all places; see `SearchMethod.likely_places`.
-
-        Raises `InputError` for several areas.
-        """
-        self._check_one_area()
+        """Return what is known of all places; see `SearchMethod.likely_places`."""
         if len(photos) == 1:
             ((rays, prior),) = photos
             fitted = self.retriever.shortlist(rays, self._shortlist, prior, report)
@@ -269,7 +261,6 @@ class FullMatcher(SearchMethod):
         itself: its least cost shows whether it was taken there. Raises as `search`, and
         `InputError` without a scene.
         """
-        self._check_one_area()
         scene = self._needed_scene()
         photos = _with_one_noted_place(photos)
         found = [self.found(rays, prior, report) for rays, prior in photos]
@@ -302,14 +293,6 @@ class FullMatcher(SearchMethod):
             near, roughly = confidence.shared_probabilities(self.models, standing, mean)
         sure = [replace(poses, confidence=near, confidence_1km=roughly) for poses in joint]
         return [poses[chosen] for poses in sure], agrees
-
-    def _check_one_area(self) -> None:
-        """Raise `InputError` for several areas."""
-        if self._frames:
-            raise InputError(
-                f"the stores are of {len(self._frames)} elevation models, and this needs one: name "
-                "stores of one"
-            )
 
     def _needed_scene(self, area: int = 0) -> RenderedScene:
         """Return the scene of an area; raises `InputError` without one."""
