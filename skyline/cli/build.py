@@ -17,7 +17,6 @@ from skyline.cli.options import (
     curvature_of,
     output_option,
     parse_bounds,
-    read_terrain,
 )
 from skyline.cli.terminal import Terminal
 from skyline.store.read import open_store
@@ -26,6 +25,7 @@ from skyline.survey.cluster import runner_of
 from skyline.survey.expected_losses import expected_finds
 from skyline.survey.plans import PlacePlan
 from skyline.tasks.render import advise_to_continue, build_bar, note_added_area
+from skyline.tasks.terrain import read_terrain
 
 
 def build(

@@ -4,7 +4,7 @@ An option has one name and one meaning in all commands. Those that a script woul
 read from the environment: what is known of a photo is not, since it would hold for other photos.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -14,7 +14,6 @@ from typer import Argument, Option
 
 from skyline.cache import store_of
 from skyline.camera import Projection
-from skyline.cli.terminal import Terminal
 from skyline.errors import InputError, numbers_in, swapped_in_words
 from skyline.geodesy.bounds import are_degrees
 from skyline.geodesy.earth import DEFAULT_REFRACTION_K, Curvature
@@ -153,18 +152,6 @@ SummitWithin = Annotated[
         "keeps its position and, beside a summit of the model, stands as high as the summit.",
     ),
 ]
-
-
-def read_terrain(terminal: Terminal, dem: Sequence[str], crs: str | None) -> "HeightField":
-    """Read the elevation model of a command.
-
-    If that takes long, a note names the step.
-    """
-    from skyline.terrain.dem import read_dem  # noqa: PLC0415  (slow to load)
-    from skyline.terrain.provenance import DemOptions  # noqa: PLC0415  (slow to load)
-
-    with terminal.slow("reading the elevation model"):
-        return read_dem(dem, DemOptions(crs=crs))
 
 
 def curvature_of(terrain: "HeightField", refraction_k: float | None) -> Curvature:

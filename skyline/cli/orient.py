@@ -15,7 +15,6 @@ from skyline.cli.options import (
     output_option,
     panel,
     parse_position,
-    read_terrain,
 )
 from skyline.cli.photo_options import (
     CameraElevation,
@@ -35,6 +34,7 @@ from skyline.orientation import DEFAULT_POSITION_SD_M, Orientation
 from skyline.tables import csv_lines
 from skyline.tasks.orient import CameraAt, orient_photos
 from skyline.tasks.points import PointsTask, orient_by_points
+from skyline.tasks.terrain import read_terrain
 from skyline.terrain.heightfield import HeightField
 
 _by_points = panel("Control points")

@@ -21,8 +21,7 @@ from skyline.pose_file import read_pose
 from skyline.sun import Body, Sky
 from skyline.tasks.listener import Listener
 from skyline.tasks.orient import CameraAt
-from skyline.terrain.dem import read_dem
-from skyline.terrain.provenance import DemOptions
+from skyline.tasks.terrain import read_terrain
 from skyline.view import SeenBody, SeenPeak, UnseenPeaks, Viewer
 
 if TYPE_CHECKING:
@@ -100,8 +99,7 @@ def label_photo(task: LabelTask, listener: Listener) -> list[str]:
     else:
         photo = read_skyline(task.photo, task.fov_deg, projection=task.projection)
         task.at.place_of(photo, str(task.photo))  # Refused before the DEM is read
-    with listener.slow("reading the elevation model"):
-        terrain = read_dem(task.dem, DemOptions(crs=task.crs))
+    terrain = read_terrain(listener, task.dem, task.crs)
     gazetteer = None if task.peaks is None else read_peaks(task.peaks, terrain.frame)
     with Viewer(terrain, gazetteer) as viewer:
         camera = _camera_of(task, photo, noted, viewer, listener)

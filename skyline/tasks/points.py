@@ -15,8 +15,7 @@ from skyline.pose_file import read_posed
 from skyline.tasks.label import shown_pose
 from skyline.tasks.listener import Listener
 from skyline.tasks.orient import CameraAt
-from skyline.terrain.dem import read_dem
-from skyline.terrain.provenance import DemOptions
+from skyline.tasks.terrain import read_terrain
 from skyline.view import Viewer
 
 
@@ -73,8 +72,7 @@ def orient_by_points(task: PointsTask, listener: Listener) -> PointsFit:
             )
     else:
         task.at.place_of(photo, str(task.photo))  # Refused before the DEM is read
-    with listener.slow("reading the elevation model"):
-        terrain = read_dem(task.dem, DemOptions(crs=task.crs))
+    terrain = read_terrain(listener, task.dem, task.crs)
     with Viewer(terrain) as viewer:
         if noted is not None:
             known = KnownCamera.of_pose(shown_pose(noted, viewer, listener))

@@ -23,9 +23,8 @@ from skyline.survey.build import BuildResult, build_store, finished_store
 from skyline.survey.cluster import runner_of
 from skyline.survey.plans import Plan, RenderingPlan
 from skyline.tasks.listener import Listener
-from skyline.terrain.dem import read_dem
+from skyline.tasks.terrain import read_terrain
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.provenance import DemOptions
 from skyline.terrain.viewpoints import read_viewpoints
 
 
@@ -119,11 +118,6 @@ class RenderTask:
             curvature = replace(curvature, refraction_k=self.refraction_k)
         return RenderConfig(self.width, curvature)
 
-    def terrain(self, listener: Listener) -> HeightField:
-        """Read the elevation model."""
-        with listener.slow("reading the elevation model"):
-            return read_dem(list(self.dem), DemOptions(crs=self.crs))
-
 
 def _refuse(options: Mapping[str, object], advice: str) -> None:
     for name, value in options.items():
@@ -139,7 +133,7 @@ def render_store(task: RenderTask, listener: Listener) -> BuildResult:
     """
     task.check()
     advise_to_continue(task.output, listener)
-    terrain = task.terrain(listener)
+    terrain = read_terrain(listener, task.dem, task.crs)
     config = task.config(terrain)
     labels: tuple[str, ...] = ()
     if task.viewpoints is not None:
@@ -171,7 +165,7 @@ def render_planned(
     """
     task.check()
     planned = task.plan_config()
-    terrain = task.terrain(listener)
+    terrain = read_terrain(listener, task.dem, task.crs)
     with listener.progress("covering, %") as bar:
         config = task.config(terrain)
         result = build_planned(terrain, task.output, planned, task.bounds_deg, config, bar)

@@ -21,8 +21,7 @@ from skyline.sun_clock import (
 )
 from skyline.tasks.label import shown_pose
 from skyline.tasks.listener import Listener
-from skyline.terrain.dem import read_dem
-from skyline.terrain.provenance import DemOptions
+from skyline.tasks.terrain import read_terrain
 from skyline.view import Viewer
 
 
@@ -76,8 +75,7 @@ def tell_when(task: WhenTask, listener: Listener) -> Told:
     """
     picture, noted = read_posed(task.photo, task.pose, task.projection)
     photo = picture.blank
-    with listener.slow("reading the elevation model"):
-        terrain = read_dem(task.dem, DemOptions(crs=task.crs))
+    terrain = read_terrain(listener, task.dem, task.crs)
     check_is_earth(terrain.frame.crs)
     with Viewer(terrain) as viewer:
         pose = shown_pose(noted, viewer, listener)
