@@ -11,7 +11,7 @@ from typer import Argument, Option
 from skyline.cli.options import AsJson, Crs, Dem
 from skyline.cli.terminal import Terminal
 from skyline.tasks.cross import Crossed, CrossTask, cross_photos
-from skyline.tasks.label import assumed_lines
+from skyline.tasks.standing import assumed_lines
 from skyline.tasks.when import pixels_of
 
 

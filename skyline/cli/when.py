@@ -13,7 +13,7 @@ from skyline.cli.photo_options import PhotoFile
 from skyline.cli.terminal import Terminal
 from skyline.errors import InputError
 from skyline.sun import Body, day_of, time_of
-from skyline.tasks.label import assumed_lines
+from skyline.tasks.standing import assumed_lines
 from skyline.tasks.when import Told, WhenTask, pixels_of, tell_when
 
 _PIXEL = "COLUMN,ROW"

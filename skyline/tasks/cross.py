@@ -9,8 +9,8 @@ from skyline.crossing import Crossing, Ray, cross
 from skyline.errors import InputError
 from skyline.pose_file import read_posed
 from skyline.sun_clock import Pixel
-from skyline.tasks.label import shown_pose
 from skyline.tasks.listener import Listener
+from skyline.tasks.standing import shown_pose
 from skyline.tasks.terrain import read_terrain
 from skyline.terrain.heightfield import HeightField
 from skyline.view import Viewer

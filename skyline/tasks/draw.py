@@ -15,8 +15,9 @@ from skyline.ground_shapes import GroundShape, Jump, Measure, in_photo, on_groun
 from skyline.photo.photo import Photo
 from skyline.pose_file import read_posed
 from skyline.report.vector_files import MAP_FILES, write_in_photo, write_on_map
-from skyline.tasks.label import LABEL_FILES, assumed_lines, shown_pose
+from skyline.tasks.label import LABEL_FILES
 from skyline.tasks.listener import Listener
+from skyline.tasks.standing import assumed_lines, shown_pose
 from skyline.tasks.terrain import read_terrain
 from skyline.terrain.dem_files import dem_names
 from skyline.vectors import Vectors, read_vectors

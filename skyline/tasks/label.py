@@ -21,6 +21,7 @@ from skyline.pose_file import read_pose
 from skyline.sun import Body, Sky
 from skyline.tasks.listener import Listener
 from skyline.tasks.orient import CameraAt
+from skyline.tasks.standing import shown_pose
 from skyline.tasks.terrain import read_terrain
 from skyline.view import SeenBody, SeenPeak, UnseenPeaks, Viewer
 
@@ -154,23 +155,6 @@ def _camera_of(
     for line in found.to_text().splitlines():
         listener.note(line)
     return _HeldCamera(found.likely, found.confidence if found.refusal else None)
-
-
-def shown_pose(noted: NotedPose, viewer: Viewer, listener: Listener) -> Pose:
-    """Return a noted pose on a viewer's terrain.
-
-    A note says why the pose is doubted, and another why its eye was lifted.
-    """
-    pose, lifted = viewer.pose_of(noted)
-    for note in filter(None, (noted.doubt, lifted)):
-        listener.note(note)
-    return pose
-
-
-def assumed_lines(*assumed: str) -> list[str]:
-    """Return a line on errors that `Pose.assumed` names; none where all are known."""
-    words = "; ".join(dict.fromkeys(filter(None, assumed)))
-    return [f"errors assumed, since no covariance is given: {words}"] if words else []
 
 
 def _bodies(

@@ -19,8 +19,8 @@ from skyline.report.ortho import (
     write_ortho,
     write_pixel_lengths,
 )
-from skyline.tasks.label import assumed_lines, shown_pose
 from skyline.tasks.listener import Listener
+from skyline.tasks.standing import assumed_lines, shown_pose
 from skyline.tasks.terrain import read_terrain, refuse_in_dem
 from skyline.terrain.dem_files import dem_names
 from skyline.view import Viewer

@@ -8,8 +8,8 @@ from skyline.camera import Projection
 from skyline.errors import suffix_of
 from skyline.files import check_outputs, on_disk
 from skyline.pose_file import read_posed
-from skyline.tasks.label import shown_pose
 from skyline.tasks.listener import Listener
+from skyline.tasks.standing import shown_pose
 from skyline.tasks.terrain import read_terrain, refuse_in_dem
 from skyline.terrain.dem_files import dem_names
 from skyline.view import PIXEL_FILES, PixelPlaces, Viewer

@@ -12,9 +12,9 @@ from skyline.photo.photo import read_photo
 from skyline.photo.skyline import PhotoSkyline
 from skyline.point_files import POINT_FILES, read_control_points, write_control_points
 from skyline.pose_file import read_posed
-from skyline.tasks.label import shown_pose
 from skyline.tasks.listener import Listener
 from skyline.tasks.orient import CameraAt
+from skyline.tasks.standing import shown_pose
 from skyline.tasks.terrain import read_terrain
 from skyline.view import Viewer
 

@@ -19,8 +19,8 @@ from skyline.sun_clock import (
     shadow_pointing,
     times_at,
 )
-from skyline.tasks.label import shown_pose
 from skyline.tasks.listener import Listener
+from skyline.tasks.standing import shown_pose
 from skyline.tasks.terrain import read_terrain
 from skyline.view import Viewer
 
