@@ -14,6 +14,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from skyline.arrays import Float64Array
+from skyline.camera import Pixel
 from skyline.errors import InputError
 from skyline.geodesy.bounds import in_turn
 from skyline.geodesy.earth import Curvature
@@ -46,7 +47,7 @@ class Ray:
 
     pose: Pose
     photo: PhotoSkyline
-    pixel: tuple[float, float]
+    pixel: Pixel
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from skyline.arrays import Float64Array
-from skyline.camera import Camera
+from skyline.camera import Camera, Pixel, in_picture
 from skyline.errors import InputError
 from skyline.geodesy.bounds import in_turn
 from skyline.ground import GroundErrors, GroundPoints, GroundView
@@ -25,9 +25,6 @@ from skyline.pose import Pose
 from skyline.pose_errors import EAST, HEADING, NORTH, UP, Bearings
 from skyline.sun import Body, InSky, Sky, minutes_of
 from skyline.terrain.height_errors import height_correlation
-
-Pixel = tuple[float, float]
-"""Column and row; pixel centres are at whole numbers."""
 
 _FARTHEST_SDS = 4.0
 """A body that passes a direction farther aside, in standard errors, does not stand there."""
@@ -377,8 +374,7 @@ def _refined(pointing: Pointing, sky: Sky, body: Body, at: datetime) -> ClockTim
 
 def _check_inside(camera: Camera, pixel: Pixel) -> None:
     """Raise `InputError` for a pixel outside a camera's photo."""
-    column, row = pixel
-    if not (-0.5 <= column <= camera.width_px - 0.5 and -0.5 <= row <= camera.height_px - 0.5):
+    if not in_picture(*pixel, camera.width_px, camera.height_px):
         raise InputError(
             f"pixel {_named(pixel)} is outside the photo of {camera.width_px} x "
             f"{camera.height_px} pixels; expected COLUMN,ROW from the upper left corner"

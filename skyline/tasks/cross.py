@@ -5,10 +5,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from skyline.camera import Pixel
 from skyline.crossing import Crossing, Ray, cross
 from skyline.errors import InputError
 from skyline.pose_file import read_posed
-from skyline.sun_clock import Pixel
 from skyline.tasks.listener import Listener
 from skyline.tasks.standing import shown_pose
 from skyline.tasks.terrain import read_terrain

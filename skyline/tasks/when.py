@@ -5,14 +5,12 @@ from dataclasses import dataclass
 from datetime import date, datetime
 from pathlib import Path
 
-from skyline.camera import Projection
-from skyline.errors import InputError
+from skyline.camera import Pixel, Projection
 from skyline.pose import Pose
 from skyline.pose_file import read_posed
 from skyline.sun import Body, Sky, check_is_earth
 from skyline.sun_clock import (
     ClockTime,
-    Pixel,
     SunHeading,
     body_pointing,
     heading_at,
@@ -89,21 +87,3 @@ def tell_when(task: WhenTask, listener: Listener) -> Told:
         heading = heading_at(pose, pointing, sky, task.body, task.known)
         return Told(pose, [], heading, assumed)
     return Told(pose, times_at(pointing, sky, task.body, task.known, pose.lon), None, assumed)
-
-
-def pixels_of(given: str, option: str, counts: tuple[int, ...]) -> tuple[Pixel, ...]:
-    """Return pixels from ``COLUMN,ROW,...``.
-
-    Raises `InputError` unless as many pixels are given as one of ``counts``.
-    """
-    error = (
-        f"{option} is `{given}`; expected {' or '.join(str(2 * count) for count in counts)} "
-        "numbers, COLUMN,ROW of each pixel"
-    )
-    try:
-        numbers = [float(part) for part in given.split(",")]
-    except ValueError:
-        raise InputError(error) from None
-    if len(numbers) % 2 or len(numbers) // 2 not in counts:
-        raise InputError(error)
-    return tuple(zip(numbers[::2], numbers[1::2], strict=True))
