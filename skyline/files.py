@@ -4,6 +4,7 @@ A file is written whole or not at all.
 """
 
 import fcntl
+import hashlib
 import os
 import re
 import stat
@@ -313,6 +314,12 @@ def version_of(path: str | Path) -> tuple[int, int, int] | None:
         return None
     is_file = stat.S_ISREG(known.st_mode)
     return (known.st_size, known.st_mtime_ns, known.st_ctime_ns) if is_file else None
+
+
+def digest_of(*parts: object, digits: int = 12) -> str:
+    """Return a digest of what names files: their names, versions and settings, hexadecimal."""
+    # Names of files are bytes, which need not be UTF-8.
+    return hashlib.sha256(repr(parts).encode("utf-8", "surrogateescape")).hexdigest()[:digits]
 
 
 def cache_folder() -> Path:
