@@ -11,7 +11,6 @@ from typing import Annotated, Any
 
 import numpy as np
 from PIL import Image
-from pyproj import Geod
 from typer import Argument, Option
 
 from skyline import (
@@ -30,6 +29,7 @@ from skyline.arrays import Float64Array
 from skyline.cli.terminal import Terminal
 from skyline.files import write_with_folders
 from skyline.geodesy.bounds import Bounds, in_turn
+from skyline.geodesy.map_frame import geodesic_m
 from skyline.photo.read import read_picture
 from skyline.pose import RIGHT_WITHIN_M
 from skyline.report.html import figures, page, picture, section, table
@@ -50,7 +50,6 @@ _SUMMARY = """kind km2 photographs=n within_200m answered answered_200m answered
 
 RIGHT_DEG = 10.0
 """Largest error of the heading of a pose that is right."""
-_GEOD = Geod(ellps="WGS84")
 
 
 @dataclass(slots=True)
@@ -386,7 +385,7 @@ def _groups(photographs: Sequence[Photograph], apart_m: float) -> Iterator[list[
     left = list(photographs)
     while left:
         first = left[0]
-        group = [one for one in left if _GEOD.inv(*first.lonlat, *one.lonlat)[2] <= apart_m]
+        group = [one for one in left if geodesic_m(*first.lonlat, *one.lonlat) <= apart_m]
         yield group
         left = [one for one in left if one not in group]
 
