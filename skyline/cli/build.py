@@ -8,7 +8,7 @@ import typer
 from typer import Option
 
 from skyline.cli.options import (
-    BoundsText,
+    BoundsOrAll,
     Crs,
     Dems,
     RefractionK,
@@ -49,7 +49,7 @@ def build(
             show_default="100,000; fewer for small areas, more for large ones",
         ),
     ] = None,
-    bounds: BoundsText = None,
+    bounds: BoundsOrAll = None,
     workers: Workers = None,
     refraction_k: RefractionK = None,
     crs: Crs = None,

@@ -111,23 +111,14 @@ Crs = Annotated[
         envvar="SKYLINE_CRS",
     ),
 ]
-BoundsText = Annotated[
-    str | None,
-    Option(
-        "--bounds",
-        metavar="W,S,E,N",
-        help="The area: west, south, east, north in degrees (WGS 84).",
-        show_default="all of the DEM",
-    ),
-]
-Area = Annotated[
-    str,
-    Option(
-        "--bounds",
-        metavar="W,S,E,N",
-        help="The area: west, south, east, north in degrees (WGS 84).",
-    ),
-]
+_bounds = partial(
+    Option,
+    "--bounds",
+    metavar="W,S,E,N",
+    help="The area: west, south, east, north in degrees (WGS 84).",
+)
+BoundsText = Annotated[str, _bounds()]
+BoundsOrAll = Annotated[str | None, _bounds(show_default="all of the DEM")]
 Spacing = Annotated[
     float | None,
     Option("--spacing", metavar="M", help="Metres between the viewpoints of a uniform grid."),

@@ -8,7 +8,7 @@ from typer import Option
 
 from skyline.cli.build import built_in_words
 from skyline.cli.options import (
-    BoundsText,
+    BoundsOrAll,
     Crs,
     Dems,
     RefractionK,
@@ -52,7 +52,7 @@ def render(
             autocompletion=lambda: names_of(PLANNERS),
         ),
     ] = None,
-    bounds: BoundsText = None,
+    bounds: BoundsOrAll = None,
     depth_images: Annotated[
         Path | None,
         Option(

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 from typer import Option
 
-from skyline.alignments import DEFAULT_WITHIN_KM, Area, standpoints
+from skyline.alignments import DEFAULT_WITHIN_KM, Circle, standpoints
 from skyline.cli.options import (
     Crs,
     Dems,
@@ -71,7 +71,7 @@ def sun(
     check_is_earth(terrain.frame.crs)
     curvature = curvature_of(terrain, refraction_k)
     if summit is not None:
-        areas = [Area(lon=lon, lat=lat, radius_m=1000.0 * within) for lon, lat in positions]
+        areas = [Circle(lon=lon, lat=lat, radius_m=1000.0 * within) for lon, lat in positions]
         lines = [
             line
             for body in Body
@@ -120,7 +120,7 @@ def _standpoints(
     summit: tuple[float, float],
     day: date,
     body: Body,
-    area: Area,
+    area: Circle,
     eye_height_m: float,
     curvature: Curvature,
 ) -> list[str]:
