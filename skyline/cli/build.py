@@ -14,7 +14,6 @@ from skyline.cli.options import (
     RefractionK,
     Spacing,
     Workers,
-    curvature_of,
     output_option,
     parse_bounds,
 )
@@ -25,7 +24,7 @@ from skyline.survey.cluster import runner_of
 from skyline.survey.expected_losses import expected_finds
 from skyline.survey.plans import PlacePlan
 from skyline.tasks.render import advise_to_continue, build_bar, note_added_area
-from skyline.tasks.terrain import read_terrain
+from skyline.tasks.terrain import curvature_of, read_terrain
 
 
 def build(

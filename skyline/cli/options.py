@@ -5,7 +5,6 @@ read from the environment: what is known of a photo is not, since it would hold 
 """
 
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -16,11 +15,10 @@ from skyline.cache import store_of
 from skyline.camera import Projection
 from skyline.errors import InputError, numbers_in, swapped_in_words
 from skyline.geodesy.bounds import are_degrees
-from skyline.geodesy.earth import DEFAULT_REFRACTION_K, Curvature
+from skyline.geodesy.earth import DEFAULT_REFRACTION_K
 
 if TYPE_CHECKING:
     from skyline.geodesy.bounds import Bounds
-    from skyline.terrain.heightfield import HeightField
 
 
 def panel(title: str) -> Callable[..., Any]:
@@ -143,12 +141,6 @@ SummitWithin = Annotated[
         "keeps its position and, beside a summit of the model, stands as high as the summit.",
     ),
 ]
-
-
-def curvature_of(terrain: "HeightField", refraction_k: float | None) -> Curvature:
-    """Return the curvature of a terrain's world, with another refraction if one is given."""
-    usual = terrain.frame.curvature
-    return usual if refraction_k is None else replace(usual, refraction_k=refraction_k)
 
 
 PhotoProjection = Annotated[

@@ -13,7 +13,6 @@ from skyline.cli.options import (
     EyeHeight,
     RefractionK,
     SummitWithin,
-    curvature_of,
     parse_position,
 )
 from skyline.cli.terminal import Terminal
@@ -22,7 +21,7 @@ from skyline.geodesy.earth import Curvature
 from skyline.horizons import LocalHorizons, horizons_of
 from skyline.sun import Body, check_is_earth, day_of
 from skyline.tasks.standing import stand_with_notes, warn_of_border
-from skyline.tasks.terrain import read_terrain
+from skyline.tasks.terrain import curvature_of, read_terrain
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M
 

@@ -5,7 +5,7 @@ The viewpoints are given, on a uniform grid, or planned.
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from skyline.arrays import Progress
@@ -23,7 +23,7 @@ from skyline.survey.build import BuildResult, build_store, finished_store
 from skyline.survey.cluster import runner_of
 from skyline.survey.plans import Plan, RenderingPlan
 from skyline.tasks.listener import Listener
-from skyline.tasks.terrain import read_terrain
+from skyline.tasks.terrain import curvature_of, read_terrain
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import read_viewpoints
 
@@ -113,10 +113,7 @@ class RenderTask:
 
     def config(self, terrain: HeightField) -> RenderConfig:
         """Return the settings of views of a terrain; raises `InputError` as `Curvature`."""
-        curvature = terrain.frame.curvature
-        if self.refraction_k is not None:
-            curvature = replace(curvature, refraction_k=self.refraction_k)
-        return RenderConfig(self.width, curvature)
+        return RenderConfig(self.width, curvature_of(terrain, self.refraction_k))
 
 
 def _refuse(options: Mapping[str, object], advice: str) -> None:
