@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from skyline.arrays import Float64Array
 from skyline.camera import Pixel
@@ -117,7 +117,7 @@ def cross(rays: Sequence[Ray], curvature: Curvature, pixel_sd_px: float = PIXEL_
         elevation_m=float(place_m[2]),
         covariance_m2=np.asarray(np.linalg.inv(normal), dtype=np.float64),
         chi_square=misfit,
-        probability=float(chi2.sf(misfit, 2 * len(rays) - 3)),
+        probability=float(chdtrc(2 * len(rays) - 3, misfit)),
     )
 
 
