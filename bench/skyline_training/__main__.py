@@ -27,6 +27,15 @@ app = command_line(
     "skyline_training", "Train the sky model and the confidence. Times are of 2 cores."
 )
 
+Terrains = Annotated[
+    Path,
+    Argument(
+        metavar="DATA",
+        help="A folder with sierra, rofental, everest and davos.",
+        callback=options.read_here,
+    ),
+]
+
 
 @app.command("sky-model", short_help="The network that finds skylines in photos (on a GPU).")
 def sky_model(
@@ -70,14 +79,7 @@ def panoramas(
 
 @app.command("confidence", short_help="How far a match can be believed (1.5 hours).")
 def confidence(
-    data: Annotated[
-        Path,
-        Argument(
-            metavar="DATA",
-            help="A folder with sierra, rofental, everest and davos.",
-            callback=options.read_here,
-        ),
-    ],
+    data: Terrains,
     queries: Annotated[int, Option(help="Of each of nine kinds, on each terrain.")] = 48,
     model: Annotated[
         Path | None, options.new_file("Write the models: skyline's confidence.json.", "--model")
@@ -113,14 +115,7 @@ def confidence(
 
 @app.command("orientation", short_help="How far a heading can be believed (half an hour).")
 def orientation(
-    data: Annotated[
-        Path,
-        Argument(
-            metavar="DATA",
-            help="A folder with sierra, rofental, everest and davos.",
-            callback=options.read_here,
-        ),
-    ],
+    data: Terrains,
     queries: Annotated[int, Option(help="Of each of six kinds, on each terrain.")] = 45,
     model: Annotated[
         Path | None, options.new_file("Write the model: skyline's orientation.json.", "--model")
