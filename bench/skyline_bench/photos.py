@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 import numpy as np
 from PIL import Image
-from typer import Argument, Option
+from typer import Option
 
 from skyline import (
     HeightField,
@@ -67,19 +67,11 @@ class Measured:
 def photos(
     manifest: Annotated[
         Path,
-        Argument(
-            metavar="MANIFEST.csv",
-            help="Photographs and what is true of them.",
-            callback=options.read_here,
-        ),
+        options.read_argument("MANIFEST.csv", "Photographs and what is true of them."),
     ],
     dem: Annotated[
         list[str] | None,
-        Argument(
-            metavar="DEM...",
-            help="Their elevation model; none to extract alone.",
-            callback=options.read_here,
-        ),
+        options.read_argument("DEM...", "Their elevation model; none to extract alone."),
     ] = None,
     folder: options.Folder = None,
     side_km: Annotated[
@@ -91,11 +83,7 @@ def photos(
     ] = None,
     store: Annotated[
         Path | None,
-        Option(
-            metavar="STORE.h5",
-            help="Search this store instead of squares.",
-            callback=options.read_here,
-        ),
+        options.read_option("STORE.h5", "Search this store instead of squares."),
     ] = None,
     use_gps: Annotated[
         bool, Option("--use-gps", help="Let the photographs' own positions draw the search.")
@@ -409,11 +397,7 @@ def _area_deg(terrain: HeightField, first: Photograph, side_m: float) -> Bounds:
 def sky_masks(
     folder: Annotated[
         Path,
-        Argument(
-            metavar="FOLDER",
-            help="NAME.jpg and NAME.mask.png, white = mountain.",
-            callback=options.read_here,
-        ),
+        options.read_argument("FOLDER", "NAME.jpg and NAME.mask.png, white = mountain."),
     ],
     record: options.Record = None,
 ) -> None:

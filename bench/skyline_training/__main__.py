@@ -4,7 +4,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import Annotated
 
-from typer import Argument, Option
+from typer import Option
 
 from skyline.cli.app import command_line, run_app
 from skyline.cli.terminal import Terminal
@@ -29,11 +29,7 @@ app = command_line(
 
 Terrains = Annotated[
     Path,
-    Argument(
-        metavar="DATA",
-        help="A folder with sierra, rofental, everest and davos.",
-        callback=options.read_here,
-    ),
+    options.read_argument("DATA", "A folder with sierra, rofental, everest and davos."),
 ]
 
 
