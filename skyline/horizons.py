@@ -30,7 +30,7 @@ from skyline.sun import Body, Interval, Sky, above, check_is_earth, day_of
 from skyline.terrain.dem import Dem, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.surface_model import read_surface
-from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, stand_at, together
+from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, broadcast, stand_at
 
 DEFAULT_STEP_DEG = 0.5
 _AT_ONCE = 2048
@@ -548,7 +548,7 @@ def horizon(  # noqa: PLR0913  (independent conditions)
     """
     steps_a_turn(step_deg)
     terrain = read_dem(terrain)
-    places = together(lon=lon, lat=lat, eye_height_m=eye_height_m)
+    places = broadcast(lon=lon, lat=lat, eye_height_m=eye_height_m)
     shape = places[0].shape
     east, north, up = (one.ravel() for one in places)
     eyes = stand_at(terrain, lon=east, lat=north, eye_height_m=up, summit_within_m=summit_within_m)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, FloatArray, Int64Array, Rows
-from skyline.paper.plan import Plan, Render
+from skyline.paper.plan import CoveragePlan, Render
 from skyline.paper.planners import Coverage
 from skyline.paper.tolerance_areas import (
     IDENTITY,
@@ -87,7 +87,7 @@ class Verification:
         return self.predicted * self.share
 
 
-def verify_coverage(plan: Plan, render: Render) -> Verification:
+def verify_coverage(plan: CoveragePlan, render: Render) -> Verification:
     """Render covered locations and compare them with the views that cover them.
 
     The 400 locations are drawn at random, and may be viewpoints themselves. Of the views whose

@@ -13,8 +13,7 @@ from skyline.errors import InputError, suffix_of
 from skyline.files import check_folder, lies_in_any
 from skyline.geodesy.bounds import Bounds
 from skyline.paper.build import build_planned
-from skyline.paper.plan import Plan as PaperPlan
-from skyline.paper.plan import PlanConfig
+from skyline.paper.plan import CoveragePlan, PlanConfig
 from skyline.paper.plan_check import Verification
 from skyline.render.horizon import RenderConfig
 from skyline.store.read import open_store, parts_folder
@@ -154,7 +153,7 @@ def render_store(task: RenderTask, listener: Listener) -> BuildResult:
 
 def render_planned(
     task: RenderTask, listener: Listener
-) -> tuple[BuildResult, PaperPlan, Verification] | None:
+) -> tuple[BuildResult, CoveragePlan, Verification] | None:
     """Let a planner choose a store's viewpoints, and render them.
 
     Returns None if the store is complete already. Raises as `RenderTask.check`, `PlanConfig` and
