@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from skyline.arrays import UInt8Array
 from skyline.camera import Projection
-from skyline.errors import InputError, suffix_of
+from skyline.errors import InputError, some_of, suffix_of
 from skyline.files import check_outputs, write_whole
 from skyline.orientation import orienters
 from skyline.peaks import read_peaks
@@ -117,8 +117,6 @@ def label_photo(task: LabelTask, listener: Listener) -> list[str]:
 
 def _missing(unnamed: "UnnamedPeaks", unseen: UnseenPeaks) -> Iterator[str]:
     """Yield a line for each reason why names are missing."""
-    from skyline.report.labels import some_of  # noqa: PLC0415  (slow to load)
-
     for reason, names in (
         ("no room for a name", unnamed.no_room),
         ("hidden by terrain", unseen.hidden),
