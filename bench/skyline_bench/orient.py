@@ -316,7 +316,8 @@ def _oriented(
     """
     try:
         lon, lat = map(float, lonlat)
-        return orienter_at((lon, lat, elevation_m, DEFAULT_POSITION_SD_M)).orient(query, fov_deg)
+        place = Place(lon, lat, elevation_m, DEFAULT_POSITION_SD_M)
+        return orienter_at(place).orient(query, fov_deg)
     except SkylineError as error:
         blank = PhotoSkyline(np.full(1, np.nan), np.zeros(1), 1, 1)
         said = str(error)

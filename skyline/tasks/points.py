@@ -86,17 +86,9 @@ def orient_by_points(task: PointsTask, listener: Listener) -> PointsFit:
 
 def _standing(task: PointsTask, viewer: Viewer, photo: PhotoSkyline) -> KnownCamera:
     """Return the camera at the place that is given, or that the photo notes."""
-    lon, lat, elevation_m, position_sd_m = task.at.place_of(photo, str(task.photo))
-    if not position_sd_m > 0.0:
+    place = task.at.place_of(photo, str(task.photo))
+    if not place.position_sd_m > 0.0:
         raise InputError(
-            f"the standard deviation of the position is {position_sd_m:g} m; expected above 0"
+            f"the standard deviation of the position is {place.position_sd_m:g} m; expected above 0"
         )
-    return KnownCamera.at(
-        viewer,
-        photo,
-        lon=lon,
-        lat=lat,
-        position_sd_m=position_sd_m,
-        elevation_m=elevation_m,
-        heading_deg=task.at.heading_deg,
-    )
+    return KnownCamera.at(viewer, photo, **place._asdict(), heading_deg=task.at.heading_deg)
