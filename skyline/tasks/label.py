@@ -17,7 +17,7 @@ from skyline.photo.photo import read_photo
 from skyline.photo.read import read_skyline
 from skyline.photo.skyline import PhotoSkyline
 from skyline.pose import NotedPose, Pose
-from skyline.pose_file import read_pose
+from skyline.pose_file import read_posed
 from skyline.sun import Body, Sky
 from skyline.tasks.listener import Listener
 from skyline.tasks.orient import CameraAt
@@ -90,14 +90,12 @@ def label_photo(task: LabelTask, listener: Listener) -> list[str]:
             "the sun and the moon"
         )
     check_outputs([task.output], [task.photo, *filter(None, [task.pose, task.peaks])])
-    record = None if task.pose is None else read_pose(task.pose, task.photo)
-    own = None if record is None else record.projection
-    picture = read_photo(task.photo, task.fov_deg, projection=task.projection or own)
-    photo = picture.blank
     noted = None
-    if record is not None:
-        noted = record.pose(photo.projection)
+    if task.pose is not None:
+        picture, noted = read_posed(task.photo, task.pose, task.projection)
+        photo = picture.blank
     else:
+        picture = read_photo(task.photo, task.fov_deg, projection=task.projection)
         photo = read_skyline(task.photo, task.fov_deg, projection=task.projection)
         task.at.place_of(photo, str(task.photo))  # Refused before the DEM is read
     terrain = read_terrain(listener, task.dem, task.crs)
