@@ -14,7 +14,7 @@ from skyline.files import check_outputs, write_whole
 from skyline.orientation import orienters
 from skyline.peaks import read_peaks
 from skyline.photo.photo import read_photo
-from skyline.photo.read import read_skyline
+from skyline.photo.read import find_skyline
 from skyline.photo.skyline import PhotoSkyline
 from skyline.pose import NotedPose, Pose
 from skyline.pose_file import read_posed
@@ -96,7 +96,7 @@ def label_photo(task: LabelTask, listener: Listener) -> list[str]:
         photo = picture.blank
     else:
         picture = read_photo(task.photo, task.fov_deg, projection=task.projection)
-        photo = read_skyline(task.photo, task.fov_deg, projection=task.projection)
+        photo = find_skyline(picture)
         task.at.place_of(photo, str(task.photo))  # Refused before the DEM is read
     terrain = read_terrain(listener, task.dem, task.crs)
     gazetteer = None if task.peaks is None else read_peaks(task.peaks, terrain.frame)
