@@ -99,13 +99,6 @@ def match(
         ),
     ] = None,
     workers: Workers = None,
-    split: Annotated[
-        bool,
-        Option(
-            "--split",
-            help="With --workers: all workers search for each photo, each in a part of the places.",
-        ),
-    ] = False,
 ) -> None:
     """Find where photos were taken and in which direction the camera looked."""
     stores, photos = split_stores(store, photo)
@@ -136,7 +129,6 @@ def match(
         surface=surface or (),
         same_place=same_place,
         workers=workers,
-        split=split,
         report=report,
         peaks=peaks,
         exports=export or (),

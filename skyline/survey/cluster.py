@@ -11,6 +11,7 @@ from collections.abc import Callable, Hashable, Iterator, Sequence
 from concurrent.futures import CancelledError, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 from importlib import import_module
 from queue import SimpleQueue
 from typing import Any, Generic, Protocol, TypeVar
@@ -135,10 +136,16 @@ class Runner:
         dies. Raises what the job raises, or `BuildError`; see `__call__`.
         """
         addresses = self._addresses()
-        workers = [addresses[worker % len(addresses)]] if addresses else None
-        answer = _outcome(
-            self._submit(work, opening, item, None, f"ask-{uuid4().hex}", workers=workers)
-        )
+        asked = addresses[worker % len(addresses)] if addresses else None
+        submit = partial(self._submit, work, opening, item, None)
+        future = submit(f"ask-{uuid4().hex}", workers=asked)
+        while asked is not None and _is_pending(future):
+            # If no other worker is there when this one dies, dask gives its job to no later one.
+            if asked not in self._addresses():
+                future.cancel()
+                asked = None
+                future = submit(f"ask-{uuid4().hex}")
+        answer = _outcome(future)
         if isinstance(answer, SkylineError):
             raise answer
         found: R = answer
@@ -159,7 +166,7 @@ class Runner:
         item: T,
         topic: str | None,
         key: str,
-        workers: Sequence[str] | None = None,
+        workers: str | None = None,
     ) -> Any:
         """Submit a job; return its future."""
         with warnings.catch_warnings():
@@ -255,6 +262,13 @@ def _do_on_bench(
     # The worker keeps its bench. Of tasks that begin together, the first sets it for all.
     bench: Bench = vars(worker).setdefault("skyline_bench", Bench())
     return bench.do(work, opening, item, tell)
+
+
+def _is_pending(future: Any) -> bool:
+    """Wait for a job for a second, and return whether it is still pending."""
+    with suppress(TimeoutError):
+        _distributed().wait(future, timeout=1)
+    return not future.done()
 
 
 def _outcome(future: Any) -> Any:

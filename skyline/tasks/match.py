@@ -40,7 +40,7 @@ from skyline.report.folder import check_report_folder
 from skyline.report.posterior_files import POSTERIOR_FILES, RASTERS, write_posteriors
 from skyline.report.results_file import ResultsFile
 from skyline.store.read import is_store
-from skyline.survey.cluster import runner_of
+from skyline.survey.cluster import Runner, runner_of
 from skyline.tasks.listener import Listener
 from skyline.terrain.dem_files import dem_names
 
@@ -78,9 +78,8 @@ class MatchTask:
     same_place: bool = False
     """Whether all photos were taken at one place."""
     workers: str | None = None
-    """As for `runner_of`."""
-    split: bool = False
-    """Whether all workers search for each photo, each in a part of the places."""
+    """As for `runner_of`. A photo is a job; where the full matcher has fewer photos than workers,
+    all workers search for each photo, each in a part of the places."""
     report: Path | None = None
     """Folder of a page with pictures and maps."""
     peaks: Path | None = None
@@ -139,7 +138,6 @@ class MatchTask:
                 self.same_place and self.results,
                 "--same-place gives one answer, not one row per photo; leave --results out",
             ),
-            (self.split and not self.workers, "--split is for workers; give --workers too"),
             (
                 self.same_place and self.workers,
                 "--same-place matches in this process; leave --workers out",
@@ -263,17 +261,24 @@ class _Run:
             ):
                 progress(0, len(usable))
                 each = match_here(matcher, usable)
-                if runner is not None and task.split:
+                if runner is not None and self._is_split(len(usable), runner):
                     opening = opening_of(task.stores, dem_names(task.dem) or None)
                     rows = [area.rows for area in matcher.areas]
                     shards = distant_shards(runner, opening, rows)
                     # A worker has its next part at hand when it is done with one.
-                    matcher.search_by(shards, 2 * max(runner.workers, 1))
+                    matcher.search_by(shards, 2 * runner.workers)
                 elif runner is not None:
                     each = match_many(runner, task.opening, usable)
                 found = self._show_each(known, refused, each, progress)
         if found:
             self._write(found, matcher, gazetteer, done)
+
+    def _is_split(self, photos: int, runner: Runner) -> bool:
+        """Return whether all workers search for each photo.
+
+        With as many photos as workers, whole photos are done sooner: refinement is shared as well.
+        """
+        return photos < runner.workers and self._task.matcher in (FULL, UNREFINED)
 
     def _matched_before(self) -> dict[Entry, str | None]:
         """Return the photos that need not be matched, with their errors.
