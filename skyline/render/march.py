@@ -447,7 +447,7 @@ class ColumnRenderer(Renderer):
     def _textures(self, window: WindowTextures, heading: int) -> dict[str, moderngl.Texture]:
         """Return a heading's textures of a window, by the shader's names."""
         textures = {
-            "heights_m": window.heights,
+            "present": window.present,
             "slabs": window.slabs.texture,
             "columns_m": window.columns[heading % 2],
             "aims": self._aims,
