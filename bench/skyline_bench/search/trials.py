@@ -320,7 +320,8 @@ def gain_points(plan: Row, grid: Row) -> tuple[float, float]:
 
     Both searched the same queries, so only those count that one of them finds alone.
     """
-    gains = np.subtract(*([int(one) for one in row["each_within_200m"]] for row in (plan, grid)))
+    gains = np.array([int(one) for one in plan["each_within_200m"]])
+    gains -= np.array([int(one) for one in grid["each_within_200m"]])
     return 100.0 * float(gains.mean()), 196.0 * float(gains.std()) / math.sqrt(len(gains))
 
 
