@@ -179,7 +179,7 @@ def lay(view: GroundView, picture: NDArray[Any], grid: Grid) -> Laid:
     values = np.zeros((*shape, picture.shape[2]), dtype=picture.dtype)
     with np.errstate(divide="ignore", invalid="ignore"):
         level = np.nan_to_num(np.log2(grid.cell_m / longest_m))
-    level = np.clip(np.rint(level), 0, _SETTINGS.levels).astype(int)
+    level = np.clip(np.floor(level), 0, _SETTINGS.levels).astype(int)
     halved = picture
     for number in range(int(level[seen].max(initial=0)) + 1):
         if number:
