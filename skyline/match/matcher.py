@@ -32,7 +32,7 @@ from skyline.match.result import TOP, JointResult, MatchResult
 from skyline.match.screen import ReportProgress, silent
 from skyline.match.shard import Shard
 from skyline.match.verdict import Verdict, candidate_reached, too_little
-from skyline.match.walk import joined
+from skyline.match.walk import check_times, joined
 from skyline.photo.image import Picture
 from skyline.photo.read import named_skyline
 from skyline.photo.skyline import PhotoSkyline
@@ -449,8 +449,7 @@ class Matcher(Closeable):
                 f"{len(results)} photos, {len(times)} times and {walked_km_h} km/h; expected a "
                 "photo or more, a time for each, and a speed above 0"
             )
-        if len({one.tzinfo is None for one in times}) > 1:
-            raise InputError("some times have a zone and some have none; give all alike")
+        check_times(times)
         frame = self.only_area().frame
         order = sorted(range(len(results)), key=lambda number: times[number])
         known = []

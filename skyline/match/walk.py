@@ -15,6 +15,7 @@ and backward messages); both are 1 where there is no such photo.
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from datetime import datetime
 
 import cv2
 import numpy as np
@@ -36,6 +37,14 @@ class DiscSize:
 
 
 _DISC = DiscSize()
+
+
+def check_times(times: Sequence[datetime]) -> None:
+    """Raise `InputError` for times of which some have a zone and some have none."""
+    if len({one.tzinfo is None for one in times}) > 1:
+        raise InputError(
+            "some photos' times have a zone and some have none, as EXIF's; give all alike"
+        )
 
 
 def joined(posteriors: Sequence[Posterior], reach_m: Sequence[float]) -> list[Posterior]:

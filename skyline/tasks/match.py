@@ -33,6 +33,7 @@ from skyline.match.method import MATCHERS
 from skyline.match.posterior import Posterior
 from skyline.match.result import JointResult, MatchResult
 from skyline.match.spread import distant_shards, opening_of
+from skyline.match.walk import check_times
 from skyline.peaks import Peaks, read_peaks
 from skyline.photo.image import EXPECTED
 from skyline.photo.skyline import PhotoSkyline
@@ -265,6 +266,7 @@ class _Run:
             return
         if task.walked_km_h is not None:
             self._times = {one.path: one.taken() for one in usable}
+            check_times(list(self._times.values()))
         matcher = self._opened()
         gazetteer = None if task.peaks is None else read_peaks(task.peaks, matcher.frame)
         done = f"{matcher.rows} {matcher.holds} were searched."
@@ -469,20 +471,29 @@ class _Run:
         gazetteer: Peaks | None,
         done: str,
     ) -> None:
-        """Write the exports and the report."""
+        """Write the exports, the report and the posteriors."""
         for path in self._task.exports:
             export_matches(path, found, [area.frame for area in matcher.areas])
+        if self._task.report is not None:
+            self._write_report(self._task.report, found, matcher, gazetteer, done)
         if self._task.probability:
+            # The last one, since photos that are of no one walk have none.
             self._write_posteriors(found if self._joint is None else [self._joint], matcher)
-        if self._task.report is None:
-            return
+
+    def _write_report(
+        self,
+        folder: Path,
+        found: list[MatchResult],
+        matcher: Matcher,
+        gazetteer: Peaks | None,
+        done: str,
+    ) -> None:
+        """Write the report's page and tell where it is."""
         from skyline.report.match_page import report_matches  # noqa: PLC0415  (slow to load)
 
         address = f"http://127.0.0.1:{PAGE_PORT}/"
         served = (self._task.serve, address) if self._task.serve else None
-        page = report_matches(
-            self._task.report, matcher, found, gazetteer, done=done, served=served
-        )
+        page = report_matches(folder, matcher, found, gazetteer, done=done, served=served)
         with suppress(BrokenPipeError):
             self._listener.remark(f"report: {page}")
 

@@ -1,12 +1,14 @@
 """Posteriors of the photos of one walk."""
 
+from datetime import UTC, datetime
+
 import numpy as np
 import pytest
 from scenes import FRAME
 
 from skyline import InputError
 from skyline.match.posterior import Posterior
-from skyline.match.walk import joined
+from skyline.match.walk import check_times, joined
 
 CELL_M = 10.0
 
@@ -84,3 +86,10 @@ def test_a_walk_that_nobody_can_have_gone_is_told():
     far = [posterior({(10, 10): 1.0}), posterior({(90, 90): 1.0})]
     with pytest.raises(InputError, match="check their times"):
         joined(far, [500.0])
+
+
+def test_times_with_and_without_a_zone_cannot_be_compared():
+    at = datetime(2026, 7, 14, 15, 4)
+    check_times([at, at])
+    with pytest.raises(InputError, match="give all alike"):
+        check_times([at, at.replace(tzinfo=UTC)])
