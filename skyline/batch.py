@@ -9,7 +9,8 @@ import re
 import time
 from collections.abc import Hashable, Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from datetime import datetime
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -22,7 +23,7 @@ from skyline.match.matcher import Matcher, paths_of
 from skyline.match.prior import Narrowing
 from skyline.match.result import MatchResult
 from skyline.photo.image import opened_image, photos_in
-from skyline.photo.photo import check_fov
+from skyline.photo.photo import check_fov, read_noted_time
 from skyline.photo.read import read_skyline
 from skyline.photo.skyline import Lens, PhotoSkyline
 from skyline.survey.cluster import Opening, Runner, Tell
@@ -58,6 +59,22 @@ class Entry:
     narrowing: Narrowing = Narrowing()  # noqa: RUF009  (it is frozen)
     label: str = ""
     """The ``id`` or ``name`` that a list gives it."""
+    time: datetime | None = field(default=None, repr=False)
+    """When it was taken, as a list gives it; by default as its file notes it. No answer depends on
+    it, nor does a digest of the entry, which is of its text."""
+
+    def taken(self) -> datetime:
+        """Return when the photo was taken.
+
+        Raises `InputError` where nothing tells it.
+        """
+        taken = self.time or read_noted_time(self.path)
+        if taken is None:
+            raise InputError(
+                f"{self.path} does not note when it was taken; name the photos in a list that has "
+                "a column `time` beside `path`, such as 2026-07-14T15:04"
+            )
+        return taken
 
     def check(self) -> None:
         """Check what can be checked without decoding a picture.
@@ -107,7 +124,7 @@ def entries_of(paths: Iterable[Path], common: Entry) -> Iterator[Entry]:
         if table is None or "path" not in table.header:
             yield replace(common, path=str(path))
             continue
-        table.refuse_other("path", *_NUMBERS, "projection", "id", "name")
+        table.refuse_other("path", *_NUMBERS, "projection", "time", "id", "name")
         if not table.rows:
             raise InputError(f"{path} is a list without photos; add a row for each")
         for row in table.rows:
@@ -188,6 +205,19 @@ def _entry(table: Table, row: Row, common: Entry) -> Entry:
         projection=projection,
         narrowing=narrowing,
         label=row.label,
+        time=_time_in(row) if row["time"] else None,
+    )
+
+
+def _time_in(row: Row) -> datetime:
+    """Return a row's time; raises `InputError` for a text that is none."""
+    text = row["time"]
+    with suppress(ValueError):
+        if "T" in text or " " in text:
+            return datetime.fromisoformat(text)
+    raise InputError(
+        f"{row.where}: the time is `{text[:80]}`; expected a day and a time such as "
+        "2026-07-14T15:04"
     )
 
 

@@ -225,8 +225,14 @@ class GroundView:
             slope=slope,
         )
 
-    def pixels(self, easting_m: Float64Array, northing_m: Float64Array) -> GroundPixels:
-        """Return where N places of the ground appear; NaN off the map."""
+    def pixels(
+        self, easting_m: Float64Array, northing_m: Float64Array, hides_m: float | None = None
+    ) -> GroundPixels:
+        """Return where N places of the ground appear; NaN off the map.
+
+        Ground hides what lies ``hides_m`` behind it, or farther; by default two samples of the
+        model.
+        """
         east_m, north_m = easting_m - self.eye.easting_m, northing_m - self.eye.northing_m
         away_m = np.hypot(east_m, north_m)
         ground_m = self.terrain.height_at(easting_m=easting_m, northing_m=northing_m)
@@ -239,7 +245,9 @@ class GroundView:
         is_seen &= np.abs(row_px - self.camera.height_px / 2.0) <= self.camera.height_px
         clear_tan = tan[is_seen] + _HIDDEN_PX * 2.0 * self._step_rad * (1.0 + tan[is_seen] ** 2)
         hit_m = self.hits_m(azimuth[is_seen], clear_tan)
-        behind_m = away_m[is_seen] - _HIDDEN_SAMPLES * self.terrain.spacing_m
+        if hides_m is None:
+            hides_m = _HIDDEN_SAMPLES * self.terrain.spacing_m
+        behind_m = away_m[is_seen] - hides_m
         is_hidden = np.zeros(len(away_m), dtype=bool)
         is_hidden[is_seen] = hit_m < behind_m
         return GroundPixels(

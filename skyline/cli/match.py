@@ -28,6 +28,7 @@ from skyline.cli.photo_options import (
     SamePlace,
     SearchBounds,
     UseGps,
+    Walked,
     entry_of,
     files_to_write,
     heading_of,
@@ -77,6 +78,7 @@ def match(
     projection: PhotoProjection = None,
     same_place: SamePlace = False,
     use_gps: UseGps = False,
+    walked: Walked = None,
     matcher: Annotated[
         str,
         _search(
@@ -133,6 +135,7 @@ def match(
         peaks=peaks,
         exports=export or (),
         probability=probability or (),
+        walked_km_h=walked,
         results=results,
     )
     raise typer.Exit(match_photos(task, Terminal.of(context, as_json)))

@@ -127,6 +127,15 @@ ProbabilityMap = Annotated[
         "repeated.",
     ),
 ]
+Walked = Annotated[
+    float | None,
+    _known(
+        "--walked",
+        metavar="KM/H",
+        help="With --probability: one person took all photos and went at most at this speed "
+        "between them; each map then counts all photos.",
+    ),
+]
 ReportPeaks = Annotated[
     Path | None,
     files_to_write(

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import logging
+import math
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from datetime import datetime, timedelta
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
 from typing import TypeVar
 
@@ -14,20 +17,22 @@ import numpy as np
 from PIL.Image import Image
 from pyproj import CRS
 
+from skyline.arrays import Progress
 from skyline.errors import InputError, SkylineError, StoreError
 from skyline.files import is_file, on_disk
 from skyline.geodesy.map_frame import Frame
 from skyline.match.config import MatchConfig
 from skyline.match.contours import weighed_by_contours
 from skyline.match.method import MATCHERS, SearchMethod
-from skyline.match.posterior import Posterior, posterior_of
-from skyline.match.prior import NOTHING_KNOWN, Narrowing, Prior
+from skyline.match.posterior import AlikePlaces, MapGrid, Posterior, posterior_of
+from skyline.match.prior import NOTHING_KNOWN, Narrowing, PlacePrior, Prior
 from skyline.match.rays import Rays
 from skyline.match.refine import VIEW_WIDTH
 from skyline.match.result import TOP, JointResult, MatchResult
 from skyline.match.screen import ReportProgress, silent
 from skyline.match.shard import Shard
 from skyline.match.verdict import Verdict, candidate_reached, too_little
+from skyline.match.walk import check_times, joined
 from skyline.photo.image import Picture
 from skyline.photo.read import named_skyline
 from skyline.photo.skyline import PhotoSkyline
@@ -404,12 +409,72 @@ class Matcher(Closeable):
         StoreError
             See `match`.
         """
-        area = self.only_area()
+        frame = self.only_area().frame
+        candidates, fitted, places, noted = self._likely_places(result, report_progress)
+        return posterior_of(candidates, fitted, places, frame, noted)
+
+    def joined_posteriors(
+        self,
+        results: Sequence[MatchResult | JointResult],
+        times: Sequence[datetime],
+        walked_km_h: float,
+        report_progress: Progress | None = None,
+    ) -> list[Posterior]:
+        """Return the posteriors of photos that one person took on a walk, each from all of them.
+
+        The person went at most at this speed from photo to photo, as the crow flies. All posteriors
+        are on one grid.
+
+        Parameters
+        ----------
+        results : sequence of MatchResult or JointResult
+            As `posterior` takes, in any order.
+        times : sequence of datetime
+            When each was taken, all by one clock: all with a zone, or none.
+        walked_km_h : float
+            Greatest speed, kilometres per hour.
+        report_progress : callable, optional
+            Called with the number of photos that are done, and with that of all.
+
+        Raises
+        ------
+        InputError
+            As `posterior`; there is no photo, or not a time for each; the speed is not above 0; or
+            no such walk is possible.
+        StoreError
+            See `match`.
+        """
+        if not results or len(times) != len(results) or not 0.0 < walked_km_h < math.inf:
+            raise InputError(
+                f"{len(results)} photos, {len(times)} times and {walked_km_h} km/h; expected a "
+                "photo or more, a time for each, and a speed above 0"
+            )
+        check_times(times)
+        frame = self.only_area().frame
+        order = sorted(range(len(results)), key=lambda number: times[number])
+        known = []
+        for done, number in enumerate(order):
+            if report_progress is not None:
+                report_progress(done, len(order))
+            known.append(self._likely_places(results[number], silent))
+        grid = MapGrid.around((places, candidates) for candidates, _, places, _ in known)
+        alone = [
+            posterior_of(candidates, fitted, places, frame, noted, grid)
+            for candidates, fitted, places, noted in known
+        ]
+        hours = [(times[b] - times[a]) / timedelta(hours=1) for a, b in pairwise(order)]
+        together = joined(alone, [1000.0 * walked_km_h * one for one in hours])
+        return [together[order.index(number)] for number in range(len(order))]
+
+    def _likely_places(
+        self, result: MatchResult | JointResult, report_progress: ReportProgress
+    ) -> tuple[Sequence[Pose], Poses, AlikePlaces, PlacePrior | None]:
+        """Return what `posterior_of` takes of a search: candidates, fits, places, noted place."""
         photos, candidates = _searched(result)
         known = [self._rays_and_prior(skyline, narrowing) for skyline, narrowing in photos]
         fitted, places = self._method.likely_places(known, report_progress)
         noted = next((prior.noted for _, prior in known if prior.noted is not None), None)
-        return posterior_of(candidates, fitted, places, area.frame, noted)
+        return candidates, fitted, places, noted
 
     def _read(
         self,

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from datetime import datetime
 
 import numpy as np
 from PIL import Image, ImageOps
-from PIL.ExifTags import IFD
+from PIL.ExifTags import IFD, Base
 
 from skyline.arrays import ShortRepr, UInt8Array, refuse_text
 from skyline.camera import Projection
@@ -15,6 +16,7 @@ from skyline.photo.image import Picture, name_of, opened_image, rgb_of, shrink_i
 from skyline.photo.noted_fov import camera_of
 from skyline.photo.noted_place import NOTHING_NOTED, NotedPlace, place_from_exif
 from skyline.photo.skyline import Lens, PhotoSkyline
+from skyline.photo.tags import time_of
 from skyline.photo.xmp import xmp_of
 from skyline.tables import is_table
 
@@ -152,6 +154,17 @@ def read_noted_place(path: Picture) -> NotedPlace:
         return NOTHING_NOTED
     with opened_image(path) as image:
         return place_from_exif(image.getexif().get_ifd(IFD.GPSInfo), xmp_of(image))
+
+
+def read_noted_time(path: Picture) -> datetime | None:
+    """Return when a photo was taken, by the camera's clock, as its EXIF notes it.
+
+    None where it notes none, as a trace. Raises as `read_photo`.
+    """
+    if is_table(path):
+        return None
+    with opened_image(path) as image:
+        return time_of(image.getexif().get_ifd(IFD.Exif), Base.DateTimeOriginal)
 
 
 def check_fov(fov_deg: float | None, projection: Projection | None) -> None:

@@ -5,10 +5,12 @@ has a file of results.
 """
 
 import hashlib
+import math
 import time
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
+from datetime import datetime
 from itertools import takewhile
 from pathlib import Path
 from typing import TypeVar
@@ -31,6 +33,7 @@ from skyline.match.method import MATCHERS
 from skyline.match.posterior import Posterior
 from skyline.match.result import JointResult, MatchResult
 from skyline.match.spread import distant_shards, opening_of
+from skyline.match.walk import check_times
 from skyline.peaks import Peaks, read_peaks
 from skyline.photo.image import EXPECTED
 from skyline.photo.skyline import PhotoSkyline
@@ -88,6 +91,8 @@ class MatchTask:
     """Files of the candidates, of the kinds of `EXPORTS`."""
     probability: Sequence[Path] = ()
     """Files of the posteriors, of the kinds of `POSTERIOR_FILES`."""
+    walked_km_h: float | None = None
+    """Greatest speed of the person who took all photos, whose posteriors are then joined."""
     serve: str = ""
     """Command that serves the page with the photos; the report names it."""
     results: Path | None = None
@@ -146,6 +151,16 @@ class MatchTask:
                 self.probability and self.matcher not in (FULL, UNREFINED),
                 f"--probability takes what the full matcher knows; leave --matcher {self.matcher} "
                 "out",
+            ),
+            (
+                self.walked_km_h is not None
+                and (not self.probability or self.same_place or len(self.entries) < 2),
+                "--walked joins the maps of --probability FILE of two photos or more that were "
+                "taken on one walk; name them, and leave --same-place out",
+            ),
+            (
+                self.walked_km_h is not None and not 0.0 < self.walked_km_h < math.inf,
+                f"--walked is {self.walked_km_h} km/h; expected a speed above 0",
             ),
         ):
             if is_wrong:
@@ -228,6 +243,7 @@ class _Run:
         self._file = file
         self._loading_s = 0.0
         self._joint: JointResult | None = None
+        self._times: dict[str, datetime] = {}
         self.exit_code = 0
 
     def match(self) -> None:
@@ -246,6 +262,9 @@ class _Run:
         if not usable:
             self._show_each(known, refused, iter(()), lambda *_: None)
             return
+        if task.walked_km_h is not None:
+            self._times = {one.path: one.taken() for one in usable}
+            check_times(list(self._times.values()))
         matcher = self._opened()
         gazetteer = None if task.peaks is None else read_peaks(task.peaks, matcher.frame)
         done = f"{matcher.rows} {matcher.holds} were searched."
@@ -457,20 +476,29 @@ class _Run:
         gazetteer: Peaks | None,
         done: str,
     ) -> None:
-        """Write the exports and the report."""
+        """Write the exports, the report and the posteriors."""
         for path in self._task.exports:
             export_matches(path, found, [area.frame for area in matcher.areas])
+        if self._task.report is not None:
+            self._write_report(self._task.report, found, matcher, gazetteer, done)
         if self._task.probability:
+            # The last one, since photos that are of no one walk have none.
             self._write_posteriors(found if self._joint is None else [self._joint], matcher)
-        if self._task.report is None:
-            return
+
+    def _write_report(
+        self,
+        folder: Path,
+        found: list[MatchResult],
+        matcher: Matcher,
+        gazetteer: Peaks | None,
+        done: str,
+    ) -> None:
+        """Write the report's page and tell where it is."""
         from skyline.report.match_page import report_matches  # noqa: PLC0415  (slow to load)
 
         address = f"http://127.0.0.1:{PAGE_PORT}/"
         served = (self._task.serve, address) if self._task.serve else None
-        page = report_matches(
-            self._task.report, matcher, found, gazetteer, done=done, served=served
-        )
+        page = report_matches(folder, matcher, found, gazetteer, done=done, served=served)
         with suppress(BrokenPipeError):
             self._listener.remark(f"report: {page}")
 
@@ -478,15 +506,22 @@ class _Run:
         self, found: Sequence[MatchResult | JointResult], matcher: Matcher
     ) -> None:
         """Write the posterior of each photo, or the one of all photos of one place."""
+        named = [one.results[0] if isinstance(one, JointResult) else one for one in found]
+        names = [one.name for one in named]
         with self._listener.progress("mapping probabilities") as progress:
 
-            def posteriors() -> Iterator[tuple[str, Posterior]]:
+            def posteriors() -> Iterator[Posterior]:
+                if self._task.walked_km_h is not None:
+                    times = [self._times[name] for name in names]
+                    yield from matcher.joined_posteriors(
+                        found, times, self._task.walked_km_h, progress
+                    )
+                    return
                 for number, result in enumerate(found):
                     progress(number, len(found))
-                    first = result.results[0] if isinstance(result, JointResult) else result
-                    yield first.name, matcher.posterior(result)
+                    yield matcher.posterior(result)
 
-            write_posteriors(self._task.probability, posteriors())
+            write_posteriors(self._task.probability, zip(names, posteriors(), strict=True))
 
 
 def _of_photo(entry: Entry, error: SkylineError) -> str:
