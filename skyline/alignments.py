@@ -52,8 +52,8 @@ class Standpoint:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Area:
-    """The places that a person can reach: a circle.
+class Circle:
+    """The circle of places that a person can reach.
 
     Attributes
     ----------
@@ -72,7 +72,7 @@ def standpoints(
     summit_deg: tuple[float, float],
     day: date,
     body: Body,
-    area: Area,
+    area: Circle,
     *,
     eye_height_m: float,
     curvature: Curvature,

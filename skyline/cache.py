@@ -10,7 +10,6 @@ search that finds one needs no server.
 """
 
 import errno
-import hashlib
 import math
 import os
 import shutil
@@ -29,7 +28,7 @@ import numpy as np
 from skyline.arrays import Progress
 from skyline.errors import FetchError, InputError, MissingFileError, SkylineError
 from skyline.fetch.dem_tiles import SOURCES, fetch_dem, source_of
-from skyline.files import cache_folder, lock_file, version_of
+from skyline.files import cache_folder, digest_of, lock_file, version_of
 from skyline.geodesy.bounds import Bounds, check_bounds, contains_box, width_deg
 from skyline.geodesy.map_frame import TRUE_DEG, Frame
 from skyline.store.layout import SCHEMA_VERSION
@@ -233,12 +232,8 @@ def areas_folder() -> Path:
     return cache_folder() / "areas"
 
 
-def _digest(*parts: object) -> str:
-    return hashlib.sha256(repr(parts).encode("utf-8", "surrogateescape")).hexdigest()[:12]
-
-
 _MAKING = SCHEMA_VERSION, DEFAULT_PLACES, DEFAULT_LOSSES, PLACE_CODING, TRUE_DEG
-_STORE = f"places-{_digest(*_MAKING)}.h5"
+_STORE = f"places-{digest_of(*_MAKING)}.h5"
 """Name of a store. Releases that would build different stores give it different names."""
 _TERRAIN = f"{Path(_STORE).stem}-{FORMAT}{SUFFIX}"
 """Name of an elevation model. An area whose model has another form is completed anew."""
@@ -250,13 +245,13 @@ def _origin(dem: Sequence[str] | HeightField, source: str) -> str:
     The DEM is some files or a field, or comes from a source if there are none.
     """
     if isinstance(dem, HeightField):
-        return f"dem-{_digest(dem.digest)}"
+        return f"dem-{digest_of(dem.digest)}"
     if not dem:
         template = SOURCES.get(source, source)
         name = source if source in SOURCES else urlsplit(template).hostname or "source"
-        return f"{name}-{_digest(template)}"
+        return f"{name}-{digest_of(template)}"
     read = dict.fromkeys(one for file in dem for one in (file, *files_of(file)))
-    return f"dem-{_digest(*((file, version_of(file)) for file in read))}"
+    return f"dem-{digest_of(*((file, version_of(file)) for file in read))}"
 
 
 def _seen_from(bounds_deg: Bounds) -> Bounds:

@@ -20,8 +20,11 @@ import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import ArrayLike
 
-from skyline.arrays import Float32Array, Float64Array, refuse_text
+from skyline.arrays import BoolArray, Float32Array, Float64Array, refuse_text
 from skyline.errors import InputError
+
+Pixel = tuple[float, float]
+"""Column and row; pixel centres are at whole numbers."""
 
 MIN_FOV_DEG = 1.0
 MAX_FOV_DEG = 179.0
@@ -168,6 +171,24 @@ def from_middle(
     across = (2.0 * np.asarray(column_px, dtype=np.float64) + 1.0) / width_px - 1.0
     above = (height_px - 1.0 - 2.0 * np.asarray(row_px, dtype=np.float64)) / width_px
     return across, above
+
+
+def in_picture(
+    column_px: ArrayLike,
+    row_px: ArrayLike,
+    width_px: int,
+    height_px: int,
+    margin_px: float = 0.0,
+) -> BoolArray:
+    """Return which pixels lie in a picture, or up to a margin outside it.
+
+    NaN lies nowhere.
+    """
+    column, row = np.asarray(column_px), np.asarray(row_px)
+    edge_px = 0.5 + margin_px
+    with np.errstate(invalid="ignore"):
+        inside = (column >= -edge_px) & (column <= width_px - 1.0 + edge_px)
+        return np.asarray(inside & (row >= -edge_px) & (row <= height_px - 1.0 + edge_px))
 
 
 def wander_of(across: Float64Array) -> Float64Array:

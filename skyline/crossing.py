@@ -11,16 +11,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from skyline.arrays import Float64Array
+from skyline.camera import Pixel
 from skyline.errors import InputError
 from skyline.geodesy.bounds import in_turn
 from skyline.geodesy.earth import Curvature
-from skyline.ground import GroundErrors
 from skyline.photo.skyline import PhotoSkyline
 from skyline.pose import Pose
-from skyline.pose_errors import HEADING, Bearings
+from skyline.pose_errors import HEADING, PIXEL_SD_PX, Bearings
 
 LEAST_PROBABILITY = 0.01
 """Rays that would pass as far apart more seldom than this, if they met, are said to miss."""
@@ -46,7 +46,7 @@ class Ray:
 
     pose: Pose
     photo: PhotoSkyline
-    pixel: tuple[float, float]
+    pixel: Pixel
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -78,17 +78,15 @@ class Crossing:
         return self.probability >= LEAST_PROBABILITY
 
 
-def cross(
-    rays: Sequence[Ray], curvature: Curvature, errors: GroundErrors | None = None
-) -> Crossing:
+def cross(rays: Sequence[Ray], curvature: Curvature, pixel_sd_px: float = PIXEL_SD_PX) -> Crossing:
     """Return where rays cross.
 
     Parameters
     ----------
     rays : sequence of Ray
         Two or more, of cameras in one frame.
-    errors : GroundErrors, optional
-        The pixels' error counts; the error of the model's heights does not.
+    pixel_sd_px : float
+        Standard deviation of a pixel's column and row.
 
     Raises
     ------
@@ -101,8 +99,7 @@ def cross(
             f"{len(rays)} ray was given; expected two photos or more of the same thing (for where "
             "one photo's ray meets the ground, use `skyline pixels`)"
         )
-    sd_px = (errors or GroundErrors()).pixel_sd_px
-    seen = [_Seen.of(ray, sd_px) for ray in rays]
+    seen = [_Seen.of(ray, pixel_sd_px) for ray in rays]
     _check_apart(seen)
     place_m = _nearest(seen)
     _check_ahead(place_m, seen)
@@ -120,7 +117,7 @@ def cross(
         elevation_m=float(place_m[2]),
         covariance_m2=np.asarray(np.linalg.inv(normal), dtype=np.float64),
         chi_square=misfit,
-        probability=float(chi2.sf(misfit, 2 * len(rays) - 3)),
+        probability=float(chdtrc(2 * len(rays) - 3, misfit)),
     )
 
 

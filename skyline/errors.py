@@ -10,7 +10,7 @@ import logging
 import os
 import re
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any, TypeVar
@@ -151,6 +151,12 @@ def check_suffix(path: str | Path, known: Iterable[str]) -> None:
     """
     if Path(path).suffix:
         suffix_of(path, known)
+
+
+def some_of(names: Sequence[str], most: int = 5) -> str:
+    """Return the first names and the number of others, in words."""
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more
 
 
 def swapped_in_words(*given: float, names: str = "longitude and latitude") -> str:

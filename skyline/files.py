@@ -4,12 +4,13 @@ A file is written whole or not at all.
 """
 
 import fcntl
+import hashlib
 import os
 import re
 import stat
 import sys
-from collections.abc import Callable, Iterable, Sequence
-from contextlib import ExitStack, suppress
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from functools import cache
 from pathlib import Path, PurePath
 from typing import NoReturn, TextIO
@@ -76,24 +77,32 @@ def write_whole(path: Path, content: bytes | str) -> None:
         sys.stdout.buffer.write(content)
         sys.stdout.buffer.flush()
         return
-    partial: Path | None = None
     try:
         if path.is_char_device() or path.is_fifo():
             path.write_bytes(content)
         else:
-            target = Path(os.path.realpath(path))
-            # A name of its own, since another process may write the same file now.
-            partial = target.with_name(f".{target.name}.{uuid4().hex[:12]}.partial")
-            partial.write_bytes(content)
-            partial.replace(target)
+            with appearing(Path(os.path.realpath(path))) as partial:
+                partial.write_bytes(content)
     except OSError as error:
-        if partial is not None:
-            with suppress(OSError):
-                partial.unlink()
         raise InputError(
             f"{path} cannot be written ({error.strerror}); name a file in a folder that exists and "
             "has room"
         ) from error
+
+
+@contextmanager
+def appearing(path: Path) -> Iterator[Path]:
+    """Yield the name under which a file is written; at the end of the block it gets its own.
+
+    So a file appears whole or not at all, also where another process writes it now.
+    """
+    partial = path.with_name(f".{path.name}.{uuid4().hex[:12]}.partial")
+    try:
+        yield partial
+        partial.replace(path)
+    finally:
+        with suppress(OSError):
+            partial.unlink(missing_ok=True)
 
 
 def write_with_folders(path: Path, content: bytes | str) -> None:
@@ -313,6 +322,12 @@ def version_of(path: str | Path) -> tuple[int, int, int] | None:
         return None
     is_file = stat.S_ISREG(known.st_mode)
     return (known.st_size, known.st_mtime_ns, known.st_ctime_ns) if is_file else None
+
+
+def digest_of(*parts: object, digits: int = 12) -> str:
+    """Return a digest of what names files: their names, versions and settings, hexadecimal."""
+    # Names of files are bytes, which need not be UTF-8.
+    return hashlib.sha256(repr(parts).encode("utf-8", "surrogateescape")).hexdigest()[:digits]
 
 
 def cache_folder() -> Path:

@@ -288,16 +288,11 @@ class _Eyes:
             northing_m=northing_m,
             eye_elevation_m=ground_m + self._eye_height_m,
         )[stands]
-        to_grid_rad = -np.radians(
-            field.frame.convergence_deg(easting_m=eyes.easting_m, northing_m=eyes.northing_m)
-        )
-        # The renderer needs a multiple of 8 steps per turn; the extra steps are dropped.
-        every = 8 // math.gcd(self.steps, 8)
         with self._making:
             if self._renderer is None:
-                self._renderer = PanoramaRenderer(field, self.steps * every, self._curvature)
-        seen = self._renderer.render(eyes, to_grid_rad)
-        elevation_deg = np.degrees(np.arctan(seen.elevation_tan[:, ::every]))
+                self._renderer = PanoramaRenderer(field, math.lcm(self.steps, 8), self._curvature)
+        seen = self._renderer.render_from_north(eyes, self.steps)
+        elevation_deg = np.degrees(np.arctan(seen.elevation_tan))
         return elevation_deg, stands.reshape(len(rows), len(cols))
 
     def close(self) -> None:

@@ -25,7 +25,7 @@ from skyline.camera import Camera
 from skyline.errors import InputError
 from skyline.geodesy.earth import Curvature
 from skyline.pose import ellipse_axes
-from skyline.pose_errors import EAST, NORTH, UP, Bearings
+from skyline.pose_errors import EAST, NORTH, PIXEL_SD_PX, UP, Bearings
 from skyline.terrain.heightfield import HeightField, ground_of, ground_slope
 from skyline.terrain.ray_casting import first_hits_m
 from skyline.terrain.viewpoints import Viewpoints
@@ -49,8 +49,8 @@ _HIDDEN_SAMPLES = 2.0
 class GroundErrors:
     """Errors of drawn pixels, and of a terrain model."""
 
-    pixel_sd_px: float = 1.0
-    """Standard deviation of a pixel's column and row: as well as a hand draws."""
+    pixel_sd_px: float = PIXEL_SD_PX
+    """Standard deviation of a pixel's column and row."""
     height_sd_m: float | None = None
     """Standard deviation of the model's heights; by default `HeightField.height_sd_m`."""
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from skyline.arrays import BoolArray, Float64Array
+from skyline.camera import in_picture
 from skyline.errors import InputError
 from skyline.geodesy.map_frame import Frame
 from skyline.ground import GroundErrors, GroundPixels, GroundPoints, GroundView
@@ -90,7 +91,7 @@ class PhotoShape:
         found = list[tuple[Float64Array, bool]]()
         for ring in self.rings:
             place = np.stack([ring.column_px, ring.row_px], axis=1)
-            inside = _is_inside(place, width_px, height_px)
+            inside = in_picture(ring.column_px, ring.row_px, width_px, height_px)
             # Each piece is hidden if one of its ends is.
             least = 1 if self.shape.kind == POINT else 2
             hidden = ring.is_hidden if least == 1 else ring.is_hidden[:-1] | ring.is_hidden[1:]
@@ -101,14 +102,6 @@ class PhotoShape:
                 if begin < end and kind[begin] >= 0:
                     found.append((place[begin : end + least - 1], bool(kind[begin])))
         return found
-
-
-def _is_inside(place_px: Float64Array, width_px: int, height_px: int) -> BoolArray:
-    column, row = place_px.T
-    with np.errstate(invalid="ignore"):
-        return np.asarray(
-            (column >= -0.5) & (column <= width_px - 0.5) & (row >= -0.5) & (row <= height_px - 0.5)
-        )
 
 
 def on_ground(view: GroundView, shape: Shape, frame: Frame, errors: GroundErrors) -> GroundShape:

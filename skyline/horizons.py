@@ -30,7 +30,7 @@ from skyline.sun import Body, Interval, Sky, above, check_is_earth, day_of
 from skyline.terrain.dem import Dem, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.surface_model import read_surface
-from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, stand_at, together
+from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, broadcast, stand_at
 
 DEFAULT_STEP_DEG = 0.5
 _AT_ONCE = 2048
@@ -548,7 +548,7 @@ def horizon(  # noqa: PLR0913  (independent conditions)
     """
     steps_a_turn(step_deg)
     terrain = read_dem(terrain)
-    places = together(lon=lon, lat=lat, eye_height_m=eye_height_m)
+    places = broadcast(lon=lon, lat=lat, eye_height_m=eye_height_m)
     shape = places[0].shape
     east, north, up = (one.ravel() for one in places)
     eyes = stand_at(terrain, lon=east, lat=north, eye_height_m=up, summit_within_m=summit_within_m)
@@ -587,31 +587,26 @@ def horizons_of(
     steps = steps_a_turn(step_deg)
     if not len(eyes):
         raise InputError("no place was given; give the longitude and latitude of one or more")
-    # The renderer needs a multiple of 8 steps per turn; the extra steps are dropped.
-    every = 8 // math.gcd(steps, 8)
     lon, lat = terrain.frame.to_lonlat(eyes.easting_m, eyes.northing_m)
-    to_grid_rad = -np.radians(
-        terrain.frame.convergence_deg(easting_m=eyes.easting_m, northing_m=eyes.northing_m)
-    )
 
     def in_parts(field: HeightField) -> Horizons:
         """Render a field in parts, with a report of progress after each."""
         parts: list[Horizons] = []
-        with PanoramaRenderer(field, steps * every, curvature) as renderer:
+        with PanoramaRenderer(field, math.lcm(steps, 8), curvature) as renderer:
             for start in range(0, len(eyes), _AT_ONCE):
                 part = slice(start, start + _AT_ONCE)
-                parts.append(renderer.render(eyes[part], to_grid_rad[part]))
+                parts.append(renderer.render_from_north(eyes[part], steps))
                 if progress is not None:
                     progress(min(part.stop, len(eyes)), len(eyes))
         return Horizons.concatenate(parts)
 
     rendered = in_parts(terrain)
-    elevation_deg = np.degrees(np.arctan(rendered.elevation_tan[:, ::every]))
+    elevation_deg = np.degrees(np.arctan(rendered.elevation_tan))
     surface_deg = np.full_like(elevation_deg, np.nan)
     if surface is not None:
         over = in_parts(surface)
         # Rounding in the surface model must not put it below the terrain.
-        surface_deg = np.degrees(np.arctan(over.elevation_tan[:, ::every]))
+        surface_deg = np.degrees(np.arctan(over.elevation_tan))
         surface_deg = np.maximum(surface_deg, elevation_deg)
     azimuth_deg = np.arange(steps) * (360.0 / steps)
     return LocalHorizons(
@@ -620,8 +615,8 @@ def horizons_of(
         eyes.eye_elevation_m,
         np.broadcast_to(azimuth_deg, (len(eyes), steps)),
         elevation_deg,
-        rendered.distance_m[:, ::every],
-        rendered.flags[:, ::every],
+        rendered.distance_m,
+        rendered.flags,
         surface_deg,
         np.array(ids or [""] * len(eyes), dtype=np.str_),
         terrain.frame.lonlat_crs,

@@ -20,7 +20,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -69,9 +69,6 @@ from skyline.terrain.viewpoints import (
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-Place = tuple[float, float, float | None, float]
-"""Longitude, latitude, elevation of the eye or None, and the standard deviation in metres."""
-
 RIGHT_DEG = 1.0
 """Largest error of a heading that is right."""
 DEFAULT_POSITION_SD_M = 50.0
@@ -82,6 +79,15 @@ none of 169 photos from other regions reaches it, and 2 % of the headings that r
 At 0.8, 4 % are wrong."""
 LEAST_LIKELY = 0.5
 """Least confidence of a heading that is not trusted, and that is more likely right than wrong."""
+
+
+class Place(NamedTuple):
+    """Where a camera stood, and how well that is known; as `Orienter` takes it."""
+
+    lon: float
+    lat: float
+    elevation_m: float | None
+    position_sd_m: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -585,10 +591,7 @@ def orienters(terrain: HeightField) -> Iterator[Callable[[Place], Orienter]]:
 
     def orienter_at(place: Place) -> Orienter:
         if place not in made:
-            lon, lat, elevation_m, position_sd_m = place
-            made[place] = Orienter(
-                terrain, lon=lon, lat=lat, elevation_m=elevation_m, position_sd_m=position_sd_m
-            )
+            made[place] = Orienter(terrain, **place._asdict())
             while len(made) > 1:
                 made.pop(next(iter(made))).close()
         return made[place]
@@ -647,24 +650,29 @@ def orient(  # noqa: PLR0913  (independent knowledge)
             "one of lon and lat is given; give both, or neither to use the photo's GPS position"
         )
     name, skyline = named_skyline(photo, fov_deg)
-    if lon is None or lat is None:
-        lon, lat, _, noted_m = noted_place(skyline, name)
-        position_sd_m = noted_m if position_sd_m is None else position_sd_m
-    position_sd_m = DEFAULT_POSITION_SD_M if position_sd_m is None else position_sd_m
-    with Orienter(
-        dem, lon=lon, lat=lat, elevation_m=elevation_m, position_sd_m=position_sd_m
-    ) as orienter:
+    lonlat_deg = None if lon is None or lat is None else (lon, lat)
+    place = place_of_camera(skyline, name, lonlat_deg, elevation_m, position_sd_m)
+    with Orienter(dem, **place._asdict()) as orienter:
         return orienter.orient(skyline, name=name, heading_deg=heading_deg)
 
 
-def noted_place(skyline: PhotoSkyline, name: str) -> Place:
-    """Return the place that a photo notes, without an elevation.
+def place_of_camera(
+    skyline: PhotoSkyline,
+    name: str,
+    lonlat_deg: tuple[float, float] | None,
+    elevation_m: float | None,
+    position_sd_m: float | None,
+) -> Place:
+    """Return the place that is given, or else the one that a photo notes.
 
     Raises `InputError` for a photo without a position.
     """
-    if skyline.noted.lonlat_deg is None:
+    usual_m = DEFAULT_POSITION_SD_M
+    if lonlat_deg is None:
+        lonlat_deg, usual_m = skyline.noted.lonlat_deg, noted_position_sd_m(skyline.noted)
+    if lonlat_deg is None:
         aside = f" ({skyline.noted.left_aside})" if skyline.noted.left_aside else ""
         raise InputError(
             f"{printable(name)} notes no GPS position{aside}; give the place: --at LON,LAT"
         )
-    return (*skyline.noted.lonlat_deg, None, noted_position_sd_m(skyline.noted))
+    return Place(*lonlat_deg, elevation_m, usual_m if position_sd_m is None else position_sd_m)

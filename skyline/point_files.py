@@ -13,6 +13,7 @@ from pyproj import CRS, Transformer
 from pyproj.exceptions import CRSError
 
 from skyline.arrays import BoolArray, Float64Array
+from skyline.camera import in_picture
 from skyline.errors import InputError, check_suffix, printable
 from skyline.files import write_whole
 from skyline.geodesy.bounds import are_degrees
@@ -55,9 +56,7 @@ class ControlPoints:
 
     def check_photo(self, photo: Path, width_px: int, height_px: int) -> None:
         """Raise `InputError` for points outside a photo."""
-        off = (np.abs(self.column_px + 0.5 - width_px / 2.0) > width_px / 2.0) | (
-            np.abs(self.row_px + 0.5 - height_px / 2.0) > height_px / 2.0
-        )
+        off = ~in_picture(self.column_px, self.row_px, width_px, height_px)
         if off.any():
             first = int(off.argmax())
             raise InputError(

@@ -16,18 +16,15 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from skyline.arrays import Float64Array
-from skyline.camera import Camera
+from skyline.camera import Camera, Pixel, in_picture
 from skyline.errors import InputError
 from skyline.geodesy.bounds import in_turn
 from skyline.ground import GroundErrors, GroundPoints, GroundView
 from skyline.photo.skyline import PhotoSkyline
 from skyline.pose import Pose
-from skyline.pose_errors import EAST, HEADING, NORTH, UP, Bearings
+from skyline.pose_errors import EAST, HEADING, NORTH, PIXEL_SD_PX, UP, Bearings
 from skyline.sun import Body, InSky, Sky, minutes_of
 from skyline.terrain.height_errors import height_correlation
-
-Pixel = tuple[float, float]
-"""Column and row; pixel centres are at whole numbers."""
 
 _FARTHEST_SDS = 4.0
 """A body that passes a direction farther aside, in standard errors, does not stand there."""
@@ -133,7 +130,7 @@ class SunHeading:
 
 
 def body_pointing(
-    pose: Pose, photo: PhotoSkyline, pixel: Pixel, errors: GroundErrors | None = None
+    pose: Pose, photo: PhotoSkyline, pixel: Pixel, pixel_sd_px: float = PIXEL_SD_PX
 ) -> Pointing:
     """Return the direction of a pixel of a body's disc.
 
@@ -143,13 +140,12 @@ def body_pointing(
     _check_inside(camera, pixel)
     of_pose = pose.covariance_or_assumed(photo)
     seen = Bearings.of(camera, [pixel[0]], [pixel[1]], len(of_pose))
-    sd_px = (errors or GroundErrors()).pixel_sd_px
     changes = np.concatenate([seen.by_pose[0], seen.by_pixel[0]], axis=1)
     sine, cosine = np.sin(seen.azimuth_rad[0]), np.cos(seen.azimuth_rad[0])
     return _pointing(
         np.array([sine, cosine, seen.elevation_tan[0]]),
         np.array([[cosine, 0.0], [-sine, 0.0], [0.0, 1.0]]) @ changes,
-        block_diag(of_pose, sd_px**2 * np.eye(2)),
+        block_diag(of_pose, pixel_sd_px**2 * np.eye(2)),
         pose.convergence_deg,
         np.array([_LEAST_SD_DEG, _LEAST_SD_DEG]),
     )
@@ -377,8 +373,7 @@ def _refined(pointing: Pointing, sky: Sky, body: Body, at: datetime) -> ClockTim
 
 def _check_inside(camera: Camera, pixel: Pixel) -> None:
     """Raise `InputError` for a pixel outside a camera's photo."""
-    column, row = pixel
-    if not (-0.5 <= column <= camera.width_px - 0.5 and -0.5 <= row <= camera.height_px - 0.5):
+    if not in_picture(*pixel, camera.width_px, camera.height_px):
         raise InputError(
             f"pixel {_named(pixel)} is outside the photo of {camera.width_px} x "
             f"{camera.height_px} pixels; expected COLUMN,ROW from the upper left corner"

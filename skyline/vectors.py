@@ -18,6 +18,7 @@ from defusedxml.common import DefusedXmlException
 from defusedxml.ElementTree import fromstring
 
 from skyline.arrays import Float64Array
+from skyline.camera import in_picture
 from skyline.errors import InputError, library, printable
 from skyline.files import GEOJSON, read_bytes
 
@@ -87,9 +88,7 @@ class Vectors:
             )
         for shape in self.shapes:
             column, row = shape.vertices.T
-            off = (np.abs(column + 0.5 - width_px / 2.0) > width_px / 2.0 + 1.0) | (
-                np.abs(row + 0.5 - height_px / 2.0) > height_px / 2.0 + 1.0
-            )
+            off = ~in_picture(column, row, width_px, height_px, margin_px=1.0)
             if off.any():
                 first = int(off.argmax())
                 raise InputError(

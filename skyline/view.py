@@ -48,10 +48,10 @@ from skyline.terrain.viewpoints import (
     LEAST_EYE_HEIGHT_M,
     Viewpoints,
     at_elevation,
+    broadcast,
     check_eye_elevation,
     stand_at_one,
     stand_on,
-    together,
 )
 
 if TYPE_CHECKING:
@@ -410,8 +410,8 @@ class Viewer(Closeable):
         InputError
             One of the values is not a finite number.
         """
-        together(heading_deg=heading_deg, pitch_deg=pitch_deg, roll_deg=roll_deg)
-        together(fov_deg=fov_deg, eye_height_m=eye_height_m)
+        broadcast(heading_deg=heading_deg, pitch_deg=pitch_deg, roll_deg=roll_deg)
+        broadcast(fov_deg=fov_deg, eye_height_m=eye_height_m)
         ground = stand_at_one(self.terrain, lon=lon, lat=lat, eye_height_m=0.0)
         eye_m = ground.eye_elevation_m + eye_height_m
         eye = at_elevation(self.terrain, ground.easting_m, ground.northing_m, eye_m)

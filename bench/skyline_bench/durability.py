@@ -24,7 +24,7 @@ from typing import Annotated
 import cv2
 import numpy as np
 import typer
-from typer import Argument, Option
+from typer import Option
 
 from skyline import cli
 from skyline.errors import SkylineError
@@ -361,11 +361,7 @@ def outcome_of(work: Callable[[], str], limit_s: int) -> str:
 def store_durability(
     dem: Annotated[
         str,
-        Argument(
-            metavar="DEM",
-            help="The DEM from which stores are built.",
-            callback=options.read_here,
-        ),
+        options.read_argument("DEM", "The DEM from which stores are built."),
     ],
     builds: Annotated[int, Option(help="Builds to kill.")] = 25,
     flips: Annotated[int, Option(help="Bits to flip in each store, one at a time.")] = 300,

@@ -58,6 +58,16 @@ def _recorded(context: typer.Context, param: CallbackParam, path: Path | None) -
     return Run(context, written_here(context, param, path))
 
 
+def read_argument(metavar: str, words: str) -> Any:
+    """Return an argument for files or folders that are read."""
+    return Argument(metavar=metavar, help=words, callback=read_here)
+
+
+def read_option(metavar: str, words: str) -> Any:
+    """Return an option for files or folders that are read."""
+    return Option(metavar=metavar, help=words, callback=read_here)
+
+
 def new_file(words: str, *names: str) -> Any:
     """Return an option for a file that is written."""
     return Option(*names, metavar="FILE", help=words, callback=written_here)
@@ -86,9 +96,7 @@ Names = list[str] | None
 
 Dems = Annotated[
     list[str],
-    Argument(
-        metavar="DEM...", help="Elevation files: one, or tiles of one grid.", callback=read_here
-    ),
+    read_argument("DEM...", "Elevation files: one, or tiles of one grid."),
 ]
 Record = Annotated[
     Run | None,

@@ -72,19 +72,11 @@ def orient(
     dem: options.Dems,
     photos: Annotated[
         Path | None,
-        Option(
-            metavar="MANIFEST.csv",
-            help="Measure these photographs instead of made ones.",
-            callback=options.read_here,
-        ),
+        options.read_option("MANIFEST.csv", "Measure these photographs instead of made ones."),
     ] = None,
     strange: Annotated[
         str | None,
-        Option(
-            metavar="DEM",
-            help="Other terrain, whose photos are refused.",
-            callback=options.read_here,
-        ),
+        options.read_option("DEM", "Other terrain, whose photos are refused."),
     ] = None,
     queries: Annotated[int, Option(min=1, help="Made photos, strangers and frames.")] = 200,
     record: options.Record = None,
@@ -324,7 +316,8 @@ def _oriented(
     """
     try:
         lon, lat = map(float, lonlat)
-        return orienter_at((lon, lat, elevation_m, DEFAULT_POSITION_SD_M)).orient(query, fov_deg)
+        place = Place(lon, lat, elevation_m, DEFAULT_POSITION_SD_M)
+        return orienter_at(place).orient(query, fov_deg)
     except SkylineError as error:
         blank = PhotoSkyline(np.full(1, np.nan), np.zeros(1), 1, 1)
         said = str(error)

@@ -11,8 +11,7 @@ from typing import Annotated, Any
 
 import numpy as np
 from PIL import Image
-from pyproj import Geod
-from typer import Argument, Option
+from typer import Option
 
 from skyline import (
     HeightField,
@@ -30,6 +29,7 @@ from skyline.arrays import Float64Array
 from skyline.cli.terminal import Terminal
 from skyline.files import write_with_folders
 from skyline.geodesy.bounds import Bounds, in_turn
+from skyline.geodesy.map_frame import geodesic_m
 from skyline.photo.read import read_picture
 from skyline.pose import RIGHT_WITHIN_M
 from skyline.report.html import figures, page, picture, section, table
@@ -50,7 +50,6 @@ _SUMMARY = """kind km2 photographs=n within_200m answered answered_200m answered
 
 RIGHT_DEG = 10.0
 """Largest error of the heading of a pose that is right."""
-_GEOD = Geod(ellps="WGS84")
 
 
 @dataclass(slots=True)
@@ -68,19 +67,11 @@ class Measured:
 def photos(
     manifest: Annotated[
         Path,
-        Argument(
-            metavar="MANIFEST.csv",
-            help="Photographs and what is true of them.",
-            callback=options.read_here,
-        ),
+        options.read_argument("MANIFEST.csv", "Photographs and what is true of them."),
     ],
     dem: Annotated[
         list[str] | None,
-        Argument(
-            metavar="DEM...",
-            help="Their elevation model; none to extract alone.",
-            callback=options.read_here,
-        ),
+        options.read_argument("DEM...", "Their elevation model; none to extract alone."),
     ] = None,
     folder: options.Folder = None,
     side_km: Annotated[
@@ -92,11 +83,7 @@ def photos(
     ] = None,
     store: Annotated[
         Path | None,
-        Option(
-            metavar="STORE.h5",
-            help="Search this store instead of squares.",
-            callback=options.read_here,
-        ),
+        options.read_option("STORE.h5", "Search this store instead of squares."),
     ] = None,
     use_gps: Annotated[
         bool, Option("--use-gps", help="Let the photographs' own positions draw the search.")
@@ -386,7 +373,7 @@ def _groups(photographs: Sequence[Photograph], apart_m: float) -> Iterator[list[
     left = list(photographs)
     while left:
         first = left[0]
-        group = [one for one in left if _GEOD.inv(*first.lonlat, *one.lonlat)[2] <= apart_m]
+        group = [one for one in left if geodesic_m(*first.lonlat, *one.lonlat) <= apart_m]
         yield group
         left = [one for one in left if one not in group]
 
@@ -410,11 +397,7 @@ def _area_deg(terrain: HeightField, first: Photograph, side_m: float) -> Bounds:
 def sky_masks(
     folder: Annotated[
         Path,
-        Argument(
-            metavar="FOLDER",
-            help="NAME.jpg and NAME.mask.png, white = mountain.",
-            callback=options.read_here,
-        ),
+        options.read_argument("FOLDER", "NAME.jpg and NAME.mask.png, white = mountain."),
     ],
     record: options.Record = None,
 ) -> None:

@@ -19,7 +19,7 @@ from pyproj import Transformer
 from scipy.ndimage import map_coordinates, maximum_filter, minimum_filter
 
 from skyline.arrays import Float32Array, Float64Array, Int64Array
-from skyline.errors import InputError
+from skyline.errors import InputError, some_of
 from skyline.geodesy.earth import Curvature
 from skyline.horizons import horizon, horizons_of
 from skyline.render.horizon import PanoramaRenderer
@@ -163,7 +163,7 @@ def measure(
     for name, surface in surfaces.items():
         rows.append(
             {
-                "dem": Path(dem[0]).name + (f" and {len(dem) - 1} more" if len(dem) > 1 else ""),
+                "dem": some_of([Path(one).name for one in dem], 1),
                 "file_spacing_m": f"{file.spacing_m[0]:.3g} x {file.spacing_m[1]:.3g}",
                 "surface": name,
                 "spacing_m": surface.spacing_m,

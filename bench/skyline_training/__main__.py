@@ -4,7 +4,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import Annotated
 
-from typer import Argument, Option
+from typer import Option
 
 from skyline.cli.app import command_line, run_app
 from skyline.cli.terminal import Terminal
@@ -26,6 +26,11 @@ _QUICK_PLACES = 2_000
 app = command_line(
     "skyline_training", "Train the sky model and the confidence. Times are of 2 cores."
 )
+
+Terrains = Annotated[
+    Path,
+    options.read_argument("DATA", "A folder with sierra, rofental, everest and davos."),
+]
 
 
 @app.command("sky-model", short_help="The network that finds skylines in photos (on a GPU).")
@@ -70,14 +75,7 @@ def panoramas(
 
 @app.command("confidence", short_help="How far a match can be believed (1.5 hours).")
 def confidence(
-    data: Annotated[
-        Path,
-        Argument(
-            metavar="DATA",
-            help="A folder with sierra, rofental, everest and davos.",
-            callback=options.read_here,
-        ),
-    ],
+    data: Terrains,
     queries: Annotated[int, Option(help="Of each of nine kinds, on each terrain.")] = 48,
     model: Annotated[
         Path | None, options.new_file("Write the models: skyline's confidence.json.", "--model")
@@ -113,14 +111,7 @@ def confidence(
 
 @app.command("orientation", short_help="How far a heading can be believed (half an hour).")
 def orientation(
-    data: Annotated[
-        Path,
-        Argument(
-            metavar="DATA",
-            help="A folder with sierra, rofental, everest and davos.",
-            callback=options.read_here,
-        ),
-    ],
+    data: Terrains,
     queries: Annotated[int, Option(help="Of each of six kinds, on each terrain.")] = 45,
     model: Annotated[
         Path | None, options.new_file("Write the model: skyline's orientation.json.", "--model")

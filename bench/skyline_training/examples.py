@@ -11,11 +11,12 @@ error are an example.
 import json
 import math
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
@@ -39,6 +40,8 @@ from skyline_bench.queries.made_photos import Scenery
 from skyline_bench.queries.synthetic import QueryConfig, SyntheticQuery, make_queries
 from skyline_training.photos import draw_photo
 from skyline_training.workers import over_processes
+
+T = TypeVar("T")
 
 STAGES = ("refined", "retrieved", confidence.FITTED)
 
@@ -104,12 +107,16 @@ def gather_matches(
 
     Stores have so many places, or by default as many as `build` plans.
     """
-    terrains = list(LEARNED | HELD_OUT)
-    found: Examples = {}
-    gathered = over_processes(partial(_gathered_on, data, queries, seed, places), terrains)
-    for name, examples_of in zip(terrains, gathered, strict=True):
-        found[name] = examples_of
-        progress(len(found), len(terrains))
+    return on_each_terrain(partial(_gathered_on, data, queries, seed, places), progress)
+
+
+def on_each_terrain(gather: Callable[[str], T], progress: Progress) -> dict[str, T]:
+    """Return what is gathered on each terrain, by name, in a process of its own."""
+    names = [*LEARNED, *HELD_OUT]
+    found: dict[str, T] = {}
+    for name, one in zip(names, over_processes(gather, names), strict=True):
+        found[name] = one
+        progress(len(found), len(names))
     return found
 
 

@@ -20,7 +20,7 @@ from skyline.geodesy.bounds import in_turn
 from skyline.match import confidence
 from skyline.match.confidence import ORIENTED, Logistic
 from skyline.match.prior import Narrowing
-from skyline.orientation import LEAST_CONFIDENCE, RIGHT_DEG, orienters
+from skyline.orientation import LEAST_CONFIDENCE, RIGHT_DEG, Place, orienters
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.measuring import Row
 from skyline_bench.queries.kinds import perturbed, resampled
@@ -28,18 +28,17 @@ from skyline_bench.queries.synthetic import SyntheticQuery, make_queries
 from skyline_training.confidence import learn, probabilities, rated
 from skyline_training.examples import (
     COARSE_M,
-    HELD_OUT,
     KINDS,
     LEARNED,
     PHOTO,
     Example,
     middle_of,
+    on_each_terrain,
     photographed,
     read_terrains,
     strangers_of,
     with_lenses,
 )
-from skyline_training.workers import over_processes
 
 POSITION_SDS_M = (15.0, 50.0, 100.0)
 """Standard deviations of the positions, drawn in turn."""
@@ -52,13 +51,7 @@ def gather_headings(
 
     Each terrain has a process of its own.
     """
-    terrains = list(LEARNED | HELD_OUT)
-    found: dict[str, list[Example]] = {}
-    gathered = over_processes(partial(_gathered_on, data, queries, seed), terrains)
-    for name, examples in zip(terrains, gathered, strict=True):
-        found[name] = examples
-        progress(len(found), len(terrains))
-    return found
+    return on_each_terrain(partial(_gathered_on, data, queries, seed), progress)
 
 
 def _gathered_on(data: Path, queries: int, seed: int, name: str) -> list[Example]:
@@ -98,7 +91,7 @@ def _oriented(
                 place = rng.uniform(west, east), rng.uniform(south, north)
             lon, lat = map(float, model.frame.to_lonlat(*place))
             try:
-                found = _figures_of(orienter_at((lon, lat, None, position_sd_m)), query)
+                found = _figures_of(orienter_at(Place(lon, lat, None, position_sd_m)), query)
             except SkylineError:  # The place is on a hole.
                 continue
             if found is not None:

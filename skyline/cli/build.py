@@ -8,16 +8,14 @@ import typer
 from typer import Option
 
 from skyline.cli.options import (
-    BoundsText,
+    BoundsOrAll,
     Crs,
     Dems,
     RefractionK,
     Spacing,
     Workers,
-    curvature_of,
     output_option,
     parse_bounds,
-    read_terrain,
 )
 from skyline.cli.terminal import Terminal
 from skyline.store.read import open_store
@@ -26,6 +24,7 @@ from skyline.survey.cluster import runner_of
 from skyline.survey.expected_losses import expected_finds
 from skyline.survey.plans import PlacePlan
 from skyline.tasks.render import advise_to_continue, build_bar, note_added_area
+from skyline.tasks.terrain import curvature_of, read_terrain
 
 
 def build(
@@ -49,7 +48,7 @@ def build(
             show_default="100,000; fewer for small areas, more for large ones",
         ),
     ] = None,
-    bounds: BoundsText = None,
+    bounds: BoundsOrAll = None,
     workers: Workers = None,
     refraction_k: RefractionK = None,
     crs: Crs = None,

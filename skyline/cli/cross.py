@@ -9,10 +9,10 @@ import typer
 from typer import Argument, Option
 
 from skyline.cli.options import AsJson, Crs, Dem
+from skyline.cli.photo_options import pixels_of
 from skyline.cli.terminal import Terminal
 from skyline.tasks.cross import Crossed, CrossTask, cross_photos
-from skyline.tasks.label import assumed_lines
-from skyline.tasks.when import pixels_of
+from skyline.tasks.standing import assumed_lines
 
 
 def cross(

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 from typer import Option
 
-from skyline.cli.options import Area, output_option, parse_bounds
+from skyline.cli.options import BoundsText, output_option, parse_bounds
 from skyline.cli.terminal import Terminal
 from skyline.fetch.dem_tiles import DEFAULT_SOURCE, SOURCE_VARIABLE, SOURCES, fetch_dem
 
@@ -38,7 +38,7 @@ def _group() -> None:
 @dem.command()
 def fetch(
     context: typer.Context,
-    bounds: Area,
+    bounds: BoundsText,
     folder: Annotated[Path, output_option("The folder for the tiles.", "DIR")],
     source: TileSource = None,
 ) -> None:

@@ -10,6 +10,7 @@ from skyline.cli.options import POSE, Crs, Dem, PhotoProjection, output_option
 from skyline.cli.photo_options import HeightSd, PhotoFile, PixelSd
 from skyline.cli.terminal import Terminal
 from skyline.ground import GroundErrors
+from skyline.pose_errors import PIXEL_SD_PX
 from skyline.report.vector_files import MAP_FILES
 from skyline.tasks.draw import PHOTO_FILES, DrawTask, draw_vectors
 from skyline.vectors import VECTORS
@@ -39,7 +40,7 @@ def draw(
     in_pixels: Annotated[
         bool, Option("--pixels", help="The coordinates of GeoJSON are the photo's pixels.")
     ] = False,
-    pixel_sd_px: PixelSd = 1.0,
+    pixel_sd_px: PixelSd = PIXEL_SD_PX,
     height_sd_m: HeightSd = None,
     projection: PhotoProjection = None,
     crs: Crs = None,

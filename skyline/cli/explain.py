@@ -6,9 +6,10 @@ import typer
 from typer import Option
 
 from skyline.cli.facts import table_of
-from skyline.cli.options import AsJson, Crs, Dems, parse_position, read_terrain
+from skyline.cli.options import AsJson, Crs, Dems, parse_position
 from skyline.cli.terminal import Terminal
 from skyline.tasks.explain import MEANINGS, explain_skyline
+from skyline.tasks.terrain import read_terrain
 from skyline.terrain.viewpoints import position_on, stand_on
 
 

@@ -15,10 +15,8 @@ from skyline.cli.options import (
     RefractionK,
     SummitWithin,
     SurfaceFiles,
-    curvature_of,
     output_option,
     parse_position,
-    read_terrain,
 )
 from skyline.cli.terminal import Terminal
 from skyline.errors import InputError
@@ -26,6 +24,7 @@ from skyline.files import STANDARD, check_outputs
 from skyline.horizons import DEFAULT_STEP_DEG, horizons_of, steps_a_turn
 from skyline.report.horizon_files import horizon_csv, kind_of_horizons, write_horizons
 from skyline.tasks.standing import stand_with_notes, warn_of_border
+from skyline.tasks.terrain import curvature_of, read_terrain
 from skyline.terrain.surface_model import read_surface
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, read_viewpoints
 

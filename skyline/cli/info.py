@@ -8,12 +8,13 @@ from typer import Argument, Option
 
 from skyline.cache import store_of
 from skyline.cli.facts import table_of
-from skyline.cli.options import AsJson, Crs, read_terrain
+from skyline.cli.options import AsJson, Crs
 from skyline.cli.terminal import Terminal
 from skyline.errors import InputError
 from skyline.render.context import held_context
 from skyline.store.read import is_store
 from skyline.tasks.describe import MEANINGS, describe_store, describe_terrain
+from skyline.tasks.terrain import read_terrain
 
 
 def info(

@@ -4,8 +4,7 @@ An option has one name and one meaning in all commands. Those that a script woul
 read from the environment: what is known of a photo is not, since it would hold for other photos.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -14,14 +13,12 @@ from typer import Argument, Option
 
 from skyline.cache import store_of
 from skyline.camera import Projection
-from skyline.cli.terminal import Terminal
 from skyline.errors import InputError, numbers_in, swapped_in_words
 from skyline.geodesy.bounds import are_degrees
-from skyline.geodesy.earth import DEFAULT_REFRACTION_K, Curvature
+from skyline.geodesy.earth import DEFAULT_REFRACTION_K
 
 if TYPE_CHECKING:
     from skyline.geodesy.bounds import Bounds
-    from skyline.terrain.heightfield import HeightField
 
 
 def panel(title: str) -> Callable[..., Any]:
@@ -112,23 +109,14 @@ Crs = Annotated[
         envvar="SKYLINE_CRS",
     ),
 ]
-BoundsText = Annotated[
-    str | None,
-    Option(
-        "--bounds",
-        metavar="W,S,E,N",
-        help="The area: west, south, east, north in degrees (WGS 84).",
-        show_default="all of the DEM",
-    ),
-]
-Area = Annotated[
-    str,
-    Option(
-        "--bounds",
-        metavar="W,S,E,N",
-        help="The area: west, south, east, north in degrees (WGS 84).",
-    ),
-]
+_bounds = partial(
+    Option,
+    "--bounds",
+    metavar="W,S,E,N",
+    help="The area: west, south, east, north in degrees (WGS 84).",
+)
+BoundsText = Annotated[str, _bounds()]
+BoundsOrAll = Annotated[str | None, _bounds(show_default="all of the DEM")]
 Spacing = Annotated[
     float | None,
     Option("--spacing", metavar="M", help="Metres between the viewpoints of a uniform grid."),
@@ -153,24 +141,6 @@ SummitWithin = Annotated[
         "keeps its position and, beside a summit of the model, stands as high as the summit.",
     ),
 ]
-
-
-def read_terrain(terminal: Terminal, dem: Sequence[str], crs: str | None) -> "HeightField":
-    """Read the elevation model of a command.
-
-    If that takes long, a note names the step.
-    """
-    from skyline.terrain.dem import read_dem  # noqa: PLC0415  (slow to load)
-    from skyline.terrain.provenance import DemOptions  # noqa: PLC0415  (slow to load)
-
-    with terminal.slow("reading the elevation model"):
-        return read_dem(dem, DemOptions(crs=crs))
-
-
-def curvature_of(terrain: "HeightField", refraction_k: float | None) -> Curvature:
-    """Return the curvature of a terrain's world, with another refraction if one is given."""
-    usual = terrain.frame.curvature
-    return usual if refraction_k is None else replace(usual, refraction_k=refraction_k)
 
 
 PhotoProjection = Annotated[

@@ -15,7 +15,6 @@ from skyline.cli.options import (
     output_option,
     panel,
     parse_position,
-    read_terrain,
 )
 from skyline.cli.photo_options import (
     CameraElevation,
@@ -32,9 +31,11 @@ from skyline.control_points import PointErrors
 from skyline.errors import InputError, SkylineError, check_suffix, printable
 from skyline.files import STANDARD, check_outputs, write_whole
 from skyline.orientation import DEFAULT_POSITION_SD_M, Orientation
+from skyline.pose_errors import PIXEL_SD_PX
 from skyline.tables import csv_lines
 from skyline.tasks.orient import CameraAt, orient_photos
 from skyline.tasks.points import PointsTask, orient_by_points
+from skyline.tasks.terrain import read_terrain
 from skyline.terrain.heightfield import HeightField
 
 _by_points = panel("Control points")
@@ -89,7 +90,7 @@ def orient(
             "--residuals", metavar="FILE", help="Write the points with residuals: .csv, .points."
         ),
     ] = None,
-    pixel_sd_px: PixelSd = 1.0,
+    pixel_sd_px: PixelSd = PIXEL_SD_PX,
     height_sd_m: HeightSd = None,
     as_json: AsJson = False,
     crs: Crs = None,

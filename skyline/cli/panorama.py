@@ -15,13 +15,13 @@ from skyline.cli.options import (
     SurfaceFiles,
     output_option,
     parse_position,
-    read_terrain,
 )
 from skyline.cli.terminal import Terminal
 from skyline.errors import suffix_of
 from skyline.peaks import read_peaks
 from skyline.report.panorama_view import PanoramaConfig, panorama_view
 from skyline.tasks.standing import stand_with_notes
+from skyline.tasks.terrain import read_terrain
 from skyline.terrain.surface_model import read_surface
 
 _DRAWN = PanoramaConfig()

@@ -6,14 +6,14 @@ from typing import Annotated
 import typer
 from typer import Option
 
-from skyline.cli.options import Area, output_option, parse_bounds
+from skyline.cli.options import BoundsText, output_option, parse_bounds
 from skyline.cli.terminal import Terminal
 from skyline.fetch.overpass import DEFAULT_SERVER, fetch_peaks
 
 
 def peaks(
     context: typer.Context,
-    bounds: Area,
+    bounds: BoundsText,
     output: Annotated[Path, output_option("The GeoJSON to write.")],
     server: Annotated[
         str,

@@ -11,7 +11,7 @@ from typing import Annotated
 from typer import Argument, Option
 
 from skyline.batch import Entry
-from skyline.camera import Projection
+from skyline.camera import Pixel, Projection
 from skyline.cli.options import PEAKS_VARIABLE, panel, parse_bounds
 from skyline.errors import InputError, numbers_in
 from skyline.match.prior import NOTED_KM, Narrowing
@@ -215,3 +215,19 @@ def is_numbers(text: str) -> bool:
     with suppress(ValueError):
         return all(math.isfinite(float(part)) for part in text.split(","))
     return False
+
+
+def pixels_of(given: str, option: str, counts: tuple[int, ...]) -> tuple[Pixel, ...]:
+    """Return pixels from ``COLUMN,ROW,...``.
+
+    Raises `InputError` unless as many pixels are given as one of ``counts``.
+    """
+    error = (
+        f"{option} is `{given}`; expected {' or '.join(str(2 * count) for count in counts)} "
+        "numbers, COLUMN,ROW of each pixel"
+    )
+    count = (given.count(",") + 1) // 2
+    if count not in counts:
+        raise InputError(error)
+    numbers = numbers_in(given, 2 * count, error)
+    return tuple(zip(numbers[::2], numbers[1::2], strict=True))

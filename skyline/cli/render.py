@@ -8,7 +8,7 @@ from typer import Option
 
 from skyline.cli.build import built_in_words
 from skyline.cli.options import (
-    BoundsText,
+    BoundsOrAll,
     Crs,
     Dems,
     RefractionK,
@@ -20,7 +20,7 @@ from skyline.cli.options import (
     parse_bounds,
 )
 from skyline.cli.terminal import Terminal
-from skyline.paper.plan import Plan, PlanConfig
+from skyline.paper.plan import CoveragePlan, PlanConfig
 from skyline.paper.plan_check import Verification
 from skyline.paper.planners import PLANNERS
 from skyline.plugins import names_of
@@ -52,7 +52,7 @@ def render(
             autocompletion=lambda: names_of(PLANNERS),
         ),
     ] = None,
-    bounds: BoundsText = None,
+    bounds: BoundsOrAll = None,
     depth_images: Annotated[
         Path | None,
         Option(
@@ -141,7 +141,7 @@ def render(
     terminal.line(_coverage_in_words(*built[1:]))
 
 
-def _coverage_in_words(plan: Plan, proof: Verification) -> str:
+def _coverage_in_words(plan: CoveragePlan, proof: Verification) -> str:
     """Return a plan's coverage in words.
 
     It is the coverage that the plan predicts, and the share that renderings confirm.

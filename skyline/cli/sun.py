@@ -6,16 +6,14 @@ from typing import Annotated
 import typer
 from typer import Option
 
-from skyline.alignments import DEFAULT_WITHIN_KM, Area, standpoints
+from skyline.alignments import DEFAULT_WITHIN_KM, Circle, standpoints
 from skyline.cli.options import (
     Crs,
     Dems,
     EyeHeight,
     RefractionK,
     SummitWithin,
-    curvature_of,
     parse_position,
-    read_terrain,
 )
 from skyline.cli.terminal import Terminal
 from skyline.errors import InputError
@@ -23,6 +21,7 @@ from skyline.geodesy.earth import Curvature
 from skyline.horizons import LocalHorizons, horizons_of
 from skyline.sun import Body, check_is_earth, day_of
 from skyline.tasks.standing import stand_with_notes, warn_of_border
+from skyline.tasks.terrain import curvature_of, read_terrain
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M
 
@@ -71,7 +70,7 @@ def sun(
     check_is_earth(terrain.frame.crs)
     curvature = curvature_of(terrain, refraction_k)
     if summit is not None:
-        areas = [Area(lon=lon, lat=lat, radius_m=1000.0 * within) for lon, lat in positions]
+        areas = [Circle(lon=lon, lat=lat, radius_m=1000.0 * within) for lon, lat in positions]
         lines = [
             line
             for body in Body
@@ -120,7 +119,7 @@ def _standpoints(
     summit: tuple[float, float],
     day: date,
     body: Body,
-    area: Area,
+    area: Circle,
     eye_height_m: float,
     curvature: Curvature,
 ) -> list[str]:

@@ -26,7 +26,7 @@ from rasterio.windows import Window
 from rasterio.windows import transform as transform_of
 
 from skyline.arrays import BoolArray, Progress
-from skyline.errors import FetchError, InputError
+from skyline.errors import FetchError, InputError, some_of
 from skyline.fetch.remote import (
     PATIENT,
     AbsentError,
@@ -122,10 +122,8 @@ class _Failures:
         first = next(iter(self._errors.values()))
         if self._wanted == 1:
             return first
-        more = f" and {len(names) - 5} more" if len(names) > 5 else ""
         return FetchError(
-            f"{len(names)} of {self._wanted} tiles could not be fetched, "
-            f"{', '.join(names[:5])}{more}: {first}"
+            f"{len(names)} of {self._wanted} tiles could not be fetched, {some_of(names)}: {first}"
         )
 
 

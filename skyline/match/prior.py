@@ -425,8 +425,8 @@ class Prior:
     narrowing: Narrowing = Narrowing()
     frame: Frame | None = None
     """None only for a prior without a narrowing."""
-    circles_m: tuple[tuple[float, float, float], ...] = ()
-    """Circles, each as easting, northing and radius. A searched place lies within all of them."""
+    circle_m: tuple[float, float, float] | None = None
+    """Circle around the narrowing's place: easting, northing and radius."""
     rectangle_m: Rectangle | None = None
     """Rectangle that contains the narrowing's bounds."""
     noted: PlacePrior | None = None
@@ -444,13 +444,13 @@ class Prior:
         """
         noted = None if exif is None else PlacePrior.of_noted(exif, frame)
         rectangle = None
-        circles: tuple[tuple[float, float, float], ...] = ()
+        circle = None
         if narrowing.near is not None:
             east, north = frame.from_lonlat(narrowing.near[0], narrowing.near[1])
-            circles = ((float(east), float(north), 1000.0 * narrowing.near[2]),)
+            circle = float(east), float(north), 1000.0 * narrowing.near[2]
         if narrowing.bounds_deg is not None:
             rectangle = frame.rectangle_m(narrowing.bounds_deg)
-        return cls(narrowing, frame, circles, rectangle, noted, exif)
+        return cls(narrowing, frame, circle, rectangle, noted, exif)
 
     def in_frames(self, frames: Sequence[Frame]) -> "list[Prior]":
         """Return this prior in each of several frames, of which its own is the first.
@@ -483,7 +483,7 @@ class Prior:
         if self.narrowing.elevation_m is not None:
             low, high = self.narrowing.elevation_m
             inside &= (positions.eye_elevation_m >= low) & (positions.eye_elevation_m <= high)
-        for east, north, radius_m in (*self.circles_m, *self._noted_circles_m()):
+        for east, north, radius_m in filter(None, (self.circle_m, self._noted_circle_m)):
             inside &= (easting_m - east) ** 2 + (northing_m - north) ** 2 <= radius_m**2
         if self.rectangle_m is not None:
             west, south, east, north = self.rectangle_m
@@ -507,12 +507,13 @@ class Prior:
         """Return this prior narrowed to the noted place's surroundings, or None."""
         return None if self.noted is None else replace(self, is_near_noted=True)
 
-    def _noted_circles_m(self) -> list[tuple[float, float, float]]:
-        """Return the circle of the noted place's surroundings, if it counts."""
+    @property
+    def _noted_circle_m(self) -> tuple[float, float, float] | None:
+        """The circle of the noted place's surroundings, if it counts."""
         if not self.is_near_noted or self.noted is None:
-            return []
+            return None
         radius_m = _EXIF.reach_m + _EXIF.reach_sds * self.noted.sd_m
-        return [(self.noted.easting_m, self.noted.northing_m, radius_m)]
+        return self.noted.easting_m, self.noted.northing_m, radius_m
 
     def swap_hint(self, places: Places) -> str:
         """Return a hint that longitudes and latitudes are swapped.

@@ -7,11 +7,12 @@ from html import escape
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
-from pyproj import CRS, Geod
+from pyproj import CRS
 
 from skyline.errors import InputError, library, printable
 from skyline.geodesy.bounds import distance_in_words, in_turn
 from skyline.geodesy.crs import WGS84
+from skyline.geodesy.map_frame import geodesic_m
 from skyline.match.prior import Narrowing
 from skyline.photo.noted_place import NOTHING_NOTED
 from skyline.photo.skyline import PhotoSkyline
@@ -30,7 +31,6 @@ _OF_CAMERA = (
 """Keys of a candidate that differ between photos of one place."""
 
 NORTHS = {True: ", from magnetic north", False: "", None: ", from a north that it does not name"}
-_WGS84 = Geod(ellps="WGS84")
 _NO_COLUMNS = {"covariance_m2", "covariance", "rank"}
 _COVARIANCE = ("easting_variance_m2", "northing_variance_m2", "easting_northing_covariance_m2")
 
@@ -176,7 +176,7 @@ class MatchResult:
         lon, lat = noted.lonlat_deg or (None, None)
         distance_m = off_deg = None
         if best is not None and noted.lonlat_deg is not None:
-            distance_m = float(_WGS84.inv(*noted.lonlat_deg, best.lon, best.lat)[2])
+            distance_m = geodesic_m(*noted.lonlat_deg, best.lon, best.lat)
         if best is not None and noted.heading_deg is not None:
             off_deg = float(in_turn(best.heading_deg - noted.heading_deg))
         return {

@@ -7,7 +7,7 @@ from pathlib import Path
 from skyline.arrays import Progress
 from skyline.errors import StoreMismatchError
 from skyline.geodesy.bounds import Bounds
-from skyline.paper.plan import Plan, PlanConfig, plan
+from skyline.paper.plan import CoveragePlan, PlanConfig, plan
 from skyline.paper.plan_check import Verification, verify_coverage
 from skyline.render.horizon import HorizonRenderer, RenderConfig
 from skyline.store.layout import StoreHeader
@@ -25,7 +25,7 @@ def build_planned(
     bounds_deg: Bounds | None = None,
     config: RenderConfig | None = None,
     progress: Progress | None = None,
-) -> tuple[BuildResult, Plan, Verification] | None:
+) -> tuple[BuildResult, CoveragePlan, Verification] | None:
     """Let a strategy choose viewpoints that cover an area; store their renderings.
 
     The store is written at the end of the plan. Returns the build, the plan, and the share of its

@@ -41,10 +41,8 @@ class PhotoCurve:
     """(R, 2) float64. Points of the skyline: x from the optical axis, and y."""
     weight: Float64Array
     """(R,) float64. Weights of the points."""
-    point_bins: IntArray
-    """(R,) intp. Bins of the points; bin B / 2 is straight ahead."""
     bins: IntArray
-    """(Q,) intp. Bins of the keypoints."""
+    """(Q,) intp. Bins of the keypoints; bin B / 2 is straight ahead."""
     local_bins: IntArray
     """(3,) intp. Bins of three points of a local skyline, relative to its keypoint."""
     local_px: Float64Array
@@ -73,7 +71,6 @@ class PhotoCurve:
         return cls(
             np.stack([x_px[seen], y_px[seen]], axis=1),
             weight[seen],
-            seen,
             keypoints,
             local_bins,
             np.stack([x_px[near], y_px[near]], axis=-1),

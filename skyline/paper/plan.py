@@ -90,7 +90,7 @@ class PlanConfig:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Plan:
+class CoveragePlan:
     """The viewpoints that were chosen and rendered."""
 
     field: HeightField
@@ -128,7 +128,7 @@ def plan(
     config: PlanConfig,
     bounds_m: Rectangle | None = None,
     progress: Progress | None = None,
-) -> Plan:
+) -> CoveragePlan:
     """Choose viewpoints and render them until the configured coverage is reached.
 
     The area is west, south, east, north, by default all of the terrain. Raises `InputError` for a
@@ -158,7 +158,7 @@ def plan(
     plan_s = time.perf_counter() - started - render_s
     coverages = tuple(one.coverage for one in headings)
     joined = Views.concatenate(views)
-    return Plan(terrain, config, sites, coverages, joined, len(views), render_s, plan_s)
+    return CoveragePlan(terrain, config, sites, coverages, joined, len(views), render_s, plan_s)
 
 
 class _Heading:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, FloatArray, Int64Array, Rows
-from skyline.paper.plan import Plan, Render
+from skyline.paper.plan import CoveragePlan, Render
 from skyline.paper.planners import Coverage
 from skyline.paper.tolerance_areas import (
     IDENTITY,
@@ -87,12 +87,14 @@ class Verification:
         return self.predicted * self.share
 
 
-def verify_coverage(plan: Plan, render: Render) -> Verification:
+def verify_coverage(plan: CoveragePlan, render: Render) -> Verification:
     """Render covered locations and compare them with the views that cover them.
 
     The 400 locations are drawn at random, and may be viewpoints themselves. Of the views whose
     tolerance areas hold a location, the nearest four are compared.
     """
+    from scipy.stats import binomtest  # noqa: PLC0415  (slow to load)
+
     held = [one.sites.valid & ~one.uncovered for one in plan.coverages]
     covered = np.flatnonzero(np.stack(held))
     drawn = np.sort(np.random.default_rng(0).choice(covered, min(400, len(covered)), False))
@@ -108,18 +110,14 @@ def verify_coverage(plan: Plan, render: Render) -> Verification:
     stored = plan.views[np.concatenate(covering)]
     within = true_errors_px(stored, rendered[pair]) <= plan.config.threshold_px
     true = int(np.count_nonzero(np.bincount(pair[within], minlength=len(location))))
-    low, high = wilson_interval(true, len(location))
-    return Verification(true / len(location), low, high, len(location), plan.coverage)
-
-
-def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
-    """Return the 95 % interval of a share, after Wilson."""
-    z = 1.959963984540054  # The 97.5 % quantile of the normal distribution
-    share = successes / trials
-    middle = share + z**2 / (2 * trials)
-    half = z * np.sqrt(share * (1 - share) / trials + z**2 / (4 * trials**2))
-    scale = 1 + z**2 / trials
-    return float((middle - half) / scale), float((middle + half) / scale)
+    interval = binomtest(true, len(location)).proportion_ci(0.95, "wilson")
+    return Verification(
+        share=true / len(location),
+        low=float(interval.low),
+        high=float(interval.high),
+        sampled=len(location),
+        predicted=plan.coverage,
+    )
 
 
 def _covering(coverage: Coverage, location: int) -> Int64Array:

@@ -181,11 +181,6 @@ def held_context() -> AbstractContextManager[GlContext]:
     return process_context().held()
 
 
-def release_context() -> None:
-    """Release the process's context; see `SharedContext.release`."""
-    process_context().release()
-
-
 def in_context(method: Callable[Parameters, T]) -> Callable[Parameters, T]:
     """Let a function hold the process's context while it runs."""
 

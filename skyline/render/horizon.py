@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import TypeVar
 
@@ -169,6 +169,7 @@ class PanoramaRenderer(ColumnRenderer):
         if bins < 8 or bins % 8:
             raise InputError(f"{bins} azimuth bins; expected a positive multiple of 8")
         self.bins = bins
+        self._frame = field.frame
         self._azimuth_rad = quadrant_azimuths_rad(bins)
         super().__init__(
             f"horizon {bins} azimuths",
@@ -206,6 +207,23 @@ class PanoramaRenderer(ColumnRenderer):
             self._turned(views.v * cosine, bins),
             self._turned(views.depth_m / cosine, bins),
             self._turned(views.flags, bins),
+        )
+
+    def render_from_north(self, viewpoints: Viewpoints, steps: int) -> Horizons:
+        """Render the horizons of N eyes in steps of azimuth that begin at true north.
+
+        The steps divide the bins.
+        """
+        turn_deg = self._frame.convergence_deg(
+            easting_m=viewpoints.easting_m, northing_m=viewpoints.northing_m
+        )
+        found = self.render(viewpoints, -np.radians(turn_deg))
+        every = slice(None, None, self.bins // steps)
+        return replace(
+            found,
+            elevation_tan=found.elevation_tan[:, every],
+            distance_m=found.distance_m[:, every],
+            flags=found.flags[:, every],
         )
 
     def _turned(self, values: NDArray[_Scalar], bins: Int64Array) -> NDArray[_Scalar]:

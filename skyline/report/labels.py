@@ -9,6 +9,7 @@ from typing import Any, Generic
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
+from skyline.errors import some_of
 from skyline.files import has_mark
 from skyline.fonts import fonts_for, packages_with, undrawn_letters
 from skyline.peaks import S
@@ -152,9 +153,3 @@ class UnnamedPeaks:
         packages = packages_with(undrawn_letters(self.no_font))
         advice = f"; install {', '.join(packages)} (Debian) or other fonts" if packages else ""
         return f"{self.counted}: {some_of(self.no_font)}{advice}"
-
-
-def some_of(names: Sequence[str], most: int = 5) -> str:
-    """Return the first names and the number of others, in words."""
-    more = f" and {len(names) - most} more" if len(names) > most else ""
-    return ", ".join(names[:most]) + more

@@ -15,7 +15,7 @@ from matplotlib.transforms import Bbox
 from skyline.arrays import Float32Array, Float64Array
 from skyline.errors import InputError
 from skyline.files import check_folder, write_whole, write_with_folders
-from skyline.paper.plan import Plan
+from skyline.paper.plan import CoveragePlan
 from skyline.paper.planners import Coverage
 from skyline.render.depth import DepthRenderer
 from skyline.render.horizon import RenderConfig
@@ -102,7 +102,7 @@ def _depth_figure(images: Float32Array, views: Views) -> Figure:
     return figure
 
 
-def save_coverage_map(plan: Plan, path: Path) -> None:
+def save_coverage_map(plan: CoveragePlan, path: Path) -> None:
     """Save maps of the viewpoints and the area that they cover.
 
     There is one map for each heading, all in one PNG, which resembles Figure 6 of the paper. A

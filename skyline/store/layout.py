@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skyline.arrays import ShortRepr, UInt8Array
-from skyline.errors import SkylineError, StoreError, StoreMismatchError
+from skyline.errors import SkylineError, StoreError, StoreMismatchError, some_of
 from skyline.files import STORE_SCHEMA
 from skyline.geodesy.bounds import Bounds
 from skyline.geodesy.earth import Curvature
@@ -329,9 +329,8 @@ def refuse_mismatch(
 
 def _model(header: StoreHeader) -> str:
     names = [Path(file).name for file in header.dem_files] or ["no file"]
-    more = f" and {len(names) - 1} more" if len(names) > 1 else ""
     frame = Frame(header.frame_wkt).name
-    return f"{names[0]}{more} ({frame}, digest {header.dem_digest[:12]})"
+    return f"{some_of(names, 1)} ({frame}, digest {header.dem_digest[:12]})"
 
 
 def columns_of(

@@ -9,14 +9,13 @@ import io
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING
-from uuid import uuid4
 
 import h5py
 import numpy as np
 
 from skyline.arrays import IntArray
 from skyline.errors import InputError, MissingFileError, check_suffix
-from skyline.files import STANDARD
+from skyline.files import STANDARD, appearing
 from skyline.store.layout import (
     PLACES,
     ROWS_AT_ONCE,
@@ -52,30 +51,28 @@ def write_store(
     """
     path = Path(path).resolve()
     _check_place(path)
-    partial = path.with_name(f".{path.name}.{uuid4().hex[:12]}.partial")
     if order is None:
         order = np.arange(len(columns[header.sorted_by[0]]))
-    with explained(path, "it cannot be written", "check the folder's rights and space"):
-        try:
-            with _Target(partial, "x+b") as target:
-                aligned = _ALIGNED if header.holds == PLACES else {}
-                with h5py.File(target, "w", libver=_LIBVER, **aligned) as file:
-                    write_header(file, header)
-                    for name, row in header.specs.items():
-                        # HDF5 has no chunks larger than a dataset may become.
-                        most = None if len(order) else (None, *row.shape)
-                        layout = header.layout(name, len(order))
-                        file.create_dataset(name, maxshape=most, **layout)
-                    for first in range(0, len(order), ROWS_AT_ONCE):
-                        some = order[first : first + ROWS_AT_ONCE]
-                        block = {name: columns[name][some] for name in columns}
-                        block[header.checksum] = row_checksums(block)
-                        for name, values in block.items():
-                            file[name][first : first + len(some)] = values
-                target.finish()
-            partial.replace(path)
-        finally:
-            partial.unlink(missing_ok=True)
+    with (
+        explained(path, "it cannot be written", "check the folder's rights and space"),
+        appearing(path) as partial,
+        _Target(partial, "x+b") as target,
+    ):
+        aligned = _ALIGNED if header.holds == PLACES else {}
+        with h5py.File(target, "w", libver=_LIBVER, **aligned) as file:
+            write_header(file, header)
+            for name, row in header.specs.items():
+                # HDF5 has no chunks larger than a dataset may become.
+                most = None if len(order) else (None, *row.shape)
+                layout = header.layout(name, len(order))
+                file.create_dataset(name, maxshape=most, **layout)
+            for first in range(0, len(order), ROWS_AT_ONCE):
+                some = order[first : first + ROWS_AT_ONCE]
+                block = {name: columns[name][some] for name in columns}
+                block[header.checksum] = row_checksums(block)
+                for name, values in block.items():
+                    file[name][first : first + len(some)] = values
+        target.finish()
     return len(order)
 
 

@@ -5,15 +5,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from skyline.camera import Pixel
 from skyline.crossing import Crossing, Ray, cross
 from skyline.errors import InputError
 from skyline.pose_file import read_posed
-from skyline.sun_clock import Pixel
-from skyline.tasks.label import shown_pose
 from skyline.tasks.listener import Listener
-from skyline.terrain.dem import read_dem
+from skyline.tasks.standing import shown_pose
+from skyline.tasks.terrain import read_terrain
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.provenance import DemOptions
 from skyline.view import Viewer
 
 
@@ -70,8 +69,7 @@ def cross_photos(task: CrossTask, listener: Listener) -> Crossed:
             "one photo is given; expected two or more of the same thing (`skyline pixels` tells "
             "where the ray of one photo meets the ground)"
         )
-    with listener.slow("reading the elevation model"):
-        terrain = read_dem(task.dem, DemOptions(crs=task.crs))
+    terrain = read_terrain(listener, task.dem, task.crs)
     with Viewer(terrain) as viewer:
         rays = [
             _ray(photo, pose, pixel, viewer, listener)

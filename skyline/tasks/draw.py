@@ -15,11 +15,11 @@ from skyline.ground_shapes import GroundShape, Jump, Measure, in_photo, on_groun
 from skyline.photo.photo import Photo
 from skyline.pose_file import read_posed
 from skyline.report.vector_files import MAP_FILES, write_in_photo, write_on_map
-from skyline.tasks.label import LABEL_FILES, assumed_lines, shown_pose
+from skyline.tasks.label import LABEL_FILES
 from skyline.tasks.listener import Listener
-from skyline.terrain.dem import read_dem
+from skyline.tasks.standing import assumed_lines, shown_pose
+from skyline.tasks.terrain import read_terrain
 from skyline.terrain.dem_files import dem_names
-from skyline.terrain.provenance import DemOptions
 from skyline.vectors import Vectors, read_vectors
 from skyline.view import Viewer
 
@@ -69,8 +69,7 @@ def draw_vectors(task: DrawTask, listener: Listener) -> list[str]:
     _check_kind(task, vectors, suffix)
     if vectors.in_pixels:
         vectors.check_photo(task.photo, photo.width_px, photo.height_px)
-    with listener.slow("reading the elevation model"):
-        terrain = read_dem(names, DemOptions(crs=task.crs))
+    terrain = read_terrain(listener, names, task.crs)
     with Viewer(terrain) as viewer:
         pose = shown_pose(noted, viewer, listener)
         view = viewer.ground_view(pose, photo)

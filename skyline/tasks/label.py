@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from skyline.arrays import UInt8Array
 from skyline.camera import Projection
-from skyline.errors import InputError, suffix_of
+from skyline.errors import InputError, some_of, suffix_of
 from skyline.files import check_outputs, write_whole
 from skyline.orientation import orienters
 from skyline.peaks import read_peaks
@@ -17,12 +17,12 @@ from skyline.photo.photo import read_photo
 from skyline.photo.read import read_skyline
 from skyline.photo.skyline import PhotoSkyline
 from skyline.pose import NotedPose, Pose
-from skyline.pose_file import read_pose
+from skyline.pose_file import read_posed
 from skyline.sun import Body, Sky
 from skyline.tasks.listener import Listener
 from skyline.tasks.orient import CameraAt
-from skyline.terrain.dem import read_dem
-from skyline.terrain.provenance import DemOptions
+from skyline.tasks.standing import shown_pose
+from skyline.tasks.terrain import read_terrain
 from skyline.view import SeenBody, SeenPeak, UnseenPeaks, Viewer
 
 if TYPE_CHECKING:
@@ -90,18 +90,15 @@ def label_photo(task: LabelTask, listener: Listener) -> list[str]:
             "the sun and the moon"
         )
     check_outputs([task.output], [task.photo, *filter(None, [task.pose, task.peaks])])
-    record = None if task.pose is None else read_pose(task.pose, task.photo)
-    own = None if record is None else record.projection
-    picture = read_photo(task.photo, task.fov_deg, projection=task.projection or own)
-    photo = picture.blank
     noted = None
-    if record is not None:
-        noted = record.pose(photo.projection)
+    if task.pose is not None:
+        picture, noted = read_posed(task.photo, task.pose, task.projection)
+        photo = picture.blank
     else:
+        picture = read_photo(task.photo, task.fov_deg, projection=task.projection)
         photo = read_skyline(task.photo, task.fov_deg, projection=task.projection)
         task.at.place_of(photo, str(task.photo))  # Refused before the DEM is read
-    with listener.slow("reading the elevation model"):
-        terrain = read_dem(task.dem, DemOptions(crs=task.crs))
+    terrain = read_terrain(listener, task.dem, task.crs)
     gazetteer = None if task.peaks is None else read_peaks(task.peaks, terrain.frame)
     with Viewer(terrain, gazetteer) as viewer:
         camera = _camera_of(task, photo, noted, viewer, listener)
@@ -118,8 +115,6 @@ def label_photo(task: LabelTask, listener: Listener) -> list[str]:
 
 def _missing(unnamed: "UnnamedPeaks", unseen: UnseenPeaks) -> Iterator[str]:
     """Yield a line for each reason why names are missing."""
-    from skyline.report.labels import some_of  # noqa: PLC0415  (slow to load)
-
     for reason, names in (
         ("no room for a name", unnamed.no_room),
         ("hidden by terrain", unseen.hidden),
@@ -156,23 +151,6 @@ def _camera_of(
     for line in found.to_text().splitlines():
         listener.note(line)
     return _HeldCamera(found.likely, found.confidence if found.refusal else None)
-
-
-def shown_pose(noted: NotedPose, viewer: Viewer, listener: Listener) -> Pose:
-    """Return a noted pose on a viewer's terrain.
-
-    A note says why the pose is doubted, and another why its eye was lifted.
-    """
-    pose, lifted = viewer.pose_of(noted)
-    for note in filter(None, (noted.doubt, lifted)):
-        listener.note(note)
-    return pose
-
-
-def assumed_lines(*assumed: str) -> list[str]:
-    """Return a line on errors that `Pose.assumed` names; none where all are known."""
-    words = "; ".join(dict.fromkeys(filter(None, assumed)))
-    return [f"errors assumed, since no covariance is given: {words}"] if words else []
 
 
 def _bodies(

@@ -4,7 +4,6 @@ Results are shown as they come; the files have all of them. A search that was st
 has a file of results.
 """
 
-import hashlib
 import math
 import time
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
@@ -26,7 +25,7 @@ from skyline.errors import (
     printable,
     suffix_of,
 )
-from skyline.files import GEOJSON, STANDARD, check_outputs, read_bytes, version_of
+from skyline.files import GEOJSON, STANDARD, check_outputs, digest_of, read_bytes, version_of
 from skyline.match.config import MatchConfig
 from skyline.match.matcher import FULL, Matcher
 from skyline.match.method import MATCHERS
@@ -119,7 +118,7 @@ class MatchTask:
         """
         surfaces = dem_names(self.surface)
         files = [(Path(one).name, *_written(one)) for one in (*map(str, self.stores), *surfaces)]
-        return _digest(files, self.matcher, MatchConfig(), self.common)
+        return digest_of(files, self.matcher, MatchConfig(), self.common)
 
     def check(self) -> None:
         """Check the options and the outputs.
@@ -535,7 +534,7 @@ def _photo_of(entry: Entry) -> str:
 
     A list may change these settings.
     """
-    return _digest(entry, _written(entry.path))
+    return digest_of(entry, _written(entry.path))
 
 
 def _written(path: str | Path) -> tuple[object, ...]:
@@ -544,9 +543,5 @@ def _written(path: str | Path) -> tuple[object, ...]:
     Of standard input a digest is returned. The path is left out, since files may move.
     """
     if str(path) == STANDARD:
-        return (_digest(read_bytes(path, EXPECTED)),)
+        return (digest_of(read_bytes(path, EXPECTED)),)
     return (version_of(path) or ())[:2]
-
-
-def _digest(*parts: object) -> str:
-    return hashlib.sha256(repr(parts).encode("utf-8", "surrogateescape")).hexdigest()[:12]

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from skyline.batch import Entry
 from skyline.errors import InputError, SkylineError
-from skyline.orientation import DEFAULT_POSITION_SD_M, Orientation, Place, noted_place, orienters
+from skyline.orientation import Orientation, Place, orienters, place_of_camera
 from skyline.photo.skyline import PhotoSkyline
 from skyline.terrain.heightfield import HeightField
 
@@ -33,13 +33,7 @@ class CameraAt:
 
         Raises `InputError` if neither the photo nor the user gives a position.
         """
-        if self.lonlat_deg is None:
-            lon, lat, elevation_m, usual_m = noted_place(photo, name)
-        else:
-            lon, lat = self.lonlat_deg
-            elevation_m = self.elevation_m
-            usual_m = DEFAULT_POSITION_SD_M
-        return lon, lat, elevation_m, usual_m if self.position_sd_m is None else self.position_sd_m
+        return place_of_camera(photo, name, self.lonlat_deg, self.elevation_m, self.position_sd_m)
 
 
 def orient_photos(

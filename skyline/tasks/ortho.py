@@ -8,7 +8,7 @@ import numpy as np
 
 from skyline.camera import Projection
 from skyline.errors import InputError, suffix_of
-from skyline.files import check_outputs, lies_in_any, on_disk
+from skyline.files import check_outputs, on_disk
 from skyline.pose_file import read_posed
 from skyline.report.ortho import (
     ORTHO_FILES,
@@ -19,11 +19,10 @@ from skyline.report.ortho import (
     write_ortho,
     write_pixel_lengths,
 )
-from skyline.tasks.label import assumed_lines, shown_pose
 from skyline.tasks.listener import Listener
-from skyline.terrain.dem import read_dem
+from skyline.tasks.standing import assumed_lines, shown_pose
+from skyline.tasks.terrain import read_terrain, refuse_in_dem
 from skyline.terrain.dem_files import dem_names
-from skyline.terrain.provenance import DemOptions
 from skyline.view import Viewer
 
 
@@ -57,8 +56,7 @@ def lay_photos(task: OrthoTask, listener: Listener) -> list[str]:
     outputs = [task.output, *filter(None, [task.pixel_lengths])]
     for path in outputs:
         suffix_of(path, ORTHO_FILES)
-        if lies_in_any(path, task.dem):
-            raise InputError(f"{path} would become a part of the DEM; choose another folder for it")
+        refuse_in_dem(path, task.dem)
     if task.resolution_m is not None and not 0.0 < task.resolution_m < np.inf:
         raise InputError(f"the resolution is {task.resolution_m:g} m; expected above 0")
     if len(task.poses) not in {1, len(task.photos)}:
@@ -73,8 +71,7 @@ def lay_photos(task: OrthoTask, listener: Listener) -> list[str]:
         read_posed(photo, file, task.projection)
         for photo, file in zip(task.photos, files, strict=True)
     ]
-    with listener.slow("reading the elevation model"):
-        terrain = read_dem(names, DemOptions(crs=task.crs))
+    terrain = read_terrain(listener, names, task.crs)
     with Viewer(terrain) as viewer, listener.progress("laying photos") as progress:
         poses = [shown_pose(one, viewer, listener) for _, one in posed]
         photos = [picture.blank for picture, _ in posed]

@@ -11,8 +11,8 @@ from skyline.geodesy.earth import Curvature
 from skyline.horizons import LocalHorizons, horizons_of, with_photo
 from skyline.photo.read import read_skyline
 from skyline.pose_file import read_pose
-from skyline.tasks.label import shown_pose
 from skyline.tasks.listener import Listener
+from skyline.tasks.standing import shown_pose
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import at_elevation
 from skyline.view import Viewer

@@ -5,14 +5,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from skyline.camera import Projection
-from skyline.errors import InputError, suffix_of
-from skyline.files import check_outputs, lies_in_any, on_disk
+from skyline.errors import suffix_of
+from skyline.files import check_outputs, on_disk
 from skyline.pose_file import read_posed
-from skyline.tasks.label import shown_pose
 from skyline.tasks.listener import Listener
-from skyline.terrain.dem import read_dem
+from skyline.tasks.standing import shown_pose
+from skyline.tasks.terrain import read_terrain, refuse_in_dem
 from skyline.terrain.dem_files import dem_names
-from skyline.terrain.provenance import DemOptions
 from skyline.view import PIXEL_FILES, PixelPlaces, Viewer
 
 
@@ -44,13 +43,10 @@ def place_pixels(task: PixelsTask, listener: Listener) -> PixelPlaces:
     suffix = suffix_of(task.output, PIXEL_FILES)
     names = dem_names(task.dem)
     check_outputs([task.output], [task.photo, task.pose, *map(Path, map(on_disk, names))])
-    if suffix == ".tif" and lies_in_any(task.output, task.dem):
-        raise InputError(
-            f"{task.output} would become a part of the DEM; choose another folder for it"
-        )
+    if suffix == ".tif":
+        refuse_in_dem(task.output, task.dem)
     picture, noted = read_posed(task.photo, task.pose, task.projection)
-    with listener.slow("reading the elevation model"):
-        terrain = read_dem(names, DemOptions(crs=task.crs))
+    terrain = read_terrain(listener, names, task.crs)
     with listener.progress("following rays") as progress, Viewer(terrain) as viewer:
         pose = shown_pose(noted, viewer, listener)
         places = viewer.places(pose, picture.blank, task.step, progress)

@@ -12,11 +12,10 @@ from skyline.photo.photo import read_photo
 from skyline.photo.skyline import PhotoSkyline
 from skyline.point_files import POINT_FILES, read_control_points, write_control_points
 from skyline.pose_file import read_posed
-from skyline.tasks.label import shown_pose
 from skyline.tasks.listener import Listener
 from skyline.tasks.orient import CameraAt
-from skyline.terrain.dem import read_dem
-from skyline.terrain.provenance import DemOptions
+from skyline.tasks.standing import shown_pose
+from skyline.tasks.terrain import read_terrain
 from skyline.view import Viewer
 
 
@@ -73,8 +72,7 @@ def orient_by_points(task: PointsTask, listener: Listener) -> PointsFit:
             )
     else:
         task.at.place_of(photo, str(task.photo))  # Refused before the DEM is read
-    with listener.slow("reading the elevation model"):
-        terrain = read_dem(task.dem, DemOptions(crs=task.crs))
+    terrain = read_terrain(listener, task.dem, task.crs)
     with Viewer(terrain) as viewer:
         if noted is not None:
             known = KnownCamera.of_pose(shown_pose(noted, viewer, listener))
@@ -88,17 +86,9 @@ def orient_by_points(task: PointsTask, listener: Listener) -> PointsFit:
 
 def _standing(task: PointsTask, viewer: Viewer, photo: PhotoSkyline) -> KnownCamera:
     """Return the camera at the place that is given, or that the photo notes."""
-    lon, lat, elevation_m, position_sd_m = task.at.place_of(photo, str(task.photo))
-    if not position_sd_m > 0.0:
+    place = task.at.place_of(photo, str(task.photo))
+    if not place.position_sd_m > 0.0:
         raise InputError(
-            f"the standard deviation of the position is {position_sd_m:g} m; expected above 0"
+            f"the standard deviation of the position is {place.position_sd_m:g} m; expected above 0"
         )
-    return KnownCamera.at(
-        viewer,
-        photo,
-        lon=lon,
-        lat=lat,
-        position_sd_m=position_sd_m,
-        elevation_m=elevation_m,
-        heading_deg=task.at.heading_deg,
-    )
+    return KnownCamera.at(viewer, photo, **place._asdict(), heading_deg=task.at.heading_deg)

@@ -5,7 +5,7 @@ The viewpoints are given, on a uniform grid, or planned.
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from skyline.arrays import Progress
@@ -13,8 +13,7 @@ from skyline.errors import InputError, suffix_of
 from skyline.files import check_folder, lies_in_any
 from skyline.geodesy.bounds import Bounds
 from skyline.paper.build import build_planned
-from skyline.paper.plan import Plan as PaperPlan
-from skyline.paper.plan import PlanConfig
+from skyline.paper.plan import CoveragePlan, PlanConfig
 from skyline.paper.plan_check import Verification
 from skyline.render.horizon import RenderConfig
 from skyline.store.read import open_store, parts_folder
@@ -23,9 +22,8 @@ from skyline.survey.build import BuildResult, build_store, finished_store
 from skyline.survey.cluster import runner_of
 from skyline.survey.plans import Plan, RenderingPlan
 from skyline.tasks.listener import Listener
-from skyline.terrain.dem import read_dem
+from skyline.tasks.terrain import curvature_of, read_terrain
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.provenance import DemOptions
 from skyline.terrain.viewpoints import read_viewpoints
 
 
@@ -114,15 +112,7 @@ class RenderTask:
 
     def config(self, terrain: HeightField) -> RenderConfig:
         """Return the settings of views of a terrain; raises `InputError` as `Curvature`."""
-        curvature = terrain.frame.curvature
-        if self.refraction_k is not None:
-            curvature = replace(curvature, refraction_k=self.refraction_k)
-        return RenderConfig(self.width, curvature)
-
-    def terrain(self, listener: Listener) -> HeightField:
-        """Read the elevation model."""
-        with listener.slow("reading the elevation model"):
-            return read_dem(list(self.dem), DemOptions(crs=self.crs))
+        return RenderConfig(self.width, curvature_of(terrain, self.refraction_k))
 
 
 def _refuse(options: Mapping[str, object], advice: str) -> None:
@@ -139,7 +129,7 @@ def render_store(task: RenderTask, listener: Listener) -> BuildResult:
     """
     task.check()
     advise_to_continue(task.output, listener)
-    terrain = task.terrain(listener)
+    terrain = read_terrain(listener, task.dem, task.crs)
     config = task.config(terrain)
     labels: tuple[str, ...] = ()
     if task.viewpoints is not None:
@@ -163,7 +153,7 @@ def render_store(task: RenderTask, listener: Listener) -> BuildResult:
 
 def render_planned(
     task: RenderTask, listener: Listener
-) -> tuple[BuildResult, PaperPlan, Verification] | None:
+) -> tuple[BuildResult, CoveragePlan, Verification] | None:
     """Let a planner choose a store's viewpoints, and render them.
 
     Returns None if the store is complete already. Raises as `RenderTask.check`, `PlanConfig` and
@@ -171,7 +161,7 @@ def render_planned(
     """
     task.check()
     planned = task.plan_config()
-    terrain = task.terrain(listener)
+    terrain = read_terrain(listener, task.dem, task.crs)
     with listener.progress("covering, %") as bar:
         config = task.config(terrain)
         result = build_planned(terrain, task.output, planned, task.bounds_deg, config, bar)

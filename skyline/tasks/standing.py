@@ -1,10 +1,11 @@
-"""Eyes at positions that a person names, with notes.
+"""Eyes at positions and in poses that a person names, with notes.
 
-The notes say where the eyes stand, and what they cannot see.
+The notes say where the eyes stand, what they cannot see, and what was assumed.
 """
 
 import logging
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,6 +14,10 @@ from skyline.skylines import FLAG_HOLE, FLAG_TRUNCATED
 from skyline.tasks.listener import Listener
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints, stand_at
+
+if TYPE_CHECKING:
+    from skyline.pose import NotedPose, Pose
+    from skyline.view import Viewer
 
 _log = logging.getLogger(__name__)
 
@@ -50,6 +55,23 @@ def stand_with_notes(
                 "--summit-within 0 would have it)"
             )
     return eyes
+
+
+def shown_pose(noted: "NotedPose", viewer: "Viewer", listener: Listener) -> "Pose":
+    """Return a noted pose on a viewer's terrain.
+
+    A note says why the pose is doubted, and another why its eye was lifted.
+    """
+    pose, lifted = viewer.pose_of(noted)
+    for note in filter(None, (noted.doubt, lifted)):
+        listener.note(note)
+    return pose
+
+
+def assumed_lines(*assumed: str) -> list[str]:
+    """Return a line on errors that `Pose.assumed` names; none where all are known."""
+    words = "; ".join(dict.fromkeys(filter(None, assumed)))
+    return [f"errors assumed, since no covariance is given: {words}"] if words else []
 
 
 def warn_of_border(found: LocalHorizons) -> None:

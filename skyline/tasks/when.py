@@ -5,24 +5,21 @@ from dataclasses import dataclass
 from datetime import date, datetime
 from pathlib import Path
 
-from skyline.camera import Projection
-from skyline.errors import InputError
+from skyline.camera import Pixel, Projection
 from skyline.pose import Pose
 from skyline.pose_file import read_posed
 from skyline.sun import Body, Sky, check_is_earth
 from skyline.sun_clock import (
     ClockTime,
-    Pixel,
     SunHeading,
     body_pointing,
     heading_at,
     shadow_pointing,
     times_at,
 )
-from skyline.tasks.label import shown_pose
 from skyline.tasks.listener import Listener
-from skyline.terrain.dem import read_dem
-from skyline.terrain.provenance import DemOptions
+from skyline.tasks.standing import shown_pose
+from skyline.tasks.terrain import read_terrain
 from skyline.view import Viewer
 
 
@@ -76,8 +73,7 @@ def tell_when(task: WhenTask, listener: Listener) -> Told:
     """
     picture, noted = read_posed(task.photo, task.pose, task.projection)
     photo = picture.blank
-    with listener.slow("reading the elevation model"):
-        terrain = read_dem(task.dem, DemOptions(crs=task.crs))
+    terrain = read_terrain(listener, task.dem, task.crs)
     check_is_earth(terrain.frame.crs)
     with Viewer(terrain) as viewer:
         pose = shown_pose(noted, viewer, listener)
@@ -91,21 +87,3 @@ def tell_when(task: WhenTask, listener: Listener) -> Told:
         heading = heading_at(pose, pointing, sky, task.body, task.known)
         return Told(pose, [], heading, assumed)
     return Told(pose, times_at(pointing, sky, task.body, task.known, pose.lon), None, assumed)
-
-
-def pixels_of(given: str, option: str, counts: tuple[int, ...]) -> tuple[Pixel, ...]:
-    """Return pixels from ``COLUMN,ROW,...``.
-
-    Raises `InputError` unless as many pixels are given as one of ``counts``.
-    """
-    error = (
-        f"{option} is `{given}`; expected {' or '.join(str(2 * count) for count in counts)} "
-        "numbers, COLUMN,ROW of each pixel"
-    )
-    try:
-        numbers = [float(part) for part in given.split(",")]
-    except ValueError:
-        raise InputError(error) from None
-    if len(numbers) % 2 or len(numbers) // 2 not in counts:
-        raise InputError(error)
-    return tuple(zip(numbers[::2], numbers[1::2], strict=True))

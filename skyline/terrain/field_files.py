@@ -20,7 +20,6 @@ from dataclasses import asdict, dataclass, replace
 from functools import cache, partial
 from pathlib import Path
 from typing import Any, BinaryIO
-from uuid import uuid4
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +28,7 @@ from pyproj.exceptions import CRSError
 
 from skyline.arrays import Float32Array
 from skyline.errors import InputError, MissingFileError
+from skyline.files import appearing
 from skyline.geodesy.map_frame import Frame
 from skyline.terrain.grid import Grid
 from skyline.terrain.heightfield import HeightField, field_of
@@ -168,22 +168,15 @@ def save_dem(
             dtype=np.uint32,
         )
         sections[layout.samples] = heights_m
-    partial_path = path.with_name(f".{path.name}.{uuid4().hex[:12]}.partial")
-    try:
-        with partial_path.open("wb") as file:
-            file.write(head)
-            if digest:
-                file.seek(layout.digest)
-                file.write(_summed(digest.encode()))
-            for offset, values in sections.items():
-                file.seek(offset)
-                file.write(np.ascontiguousarray(values).data)
-            file.truncate(layout.end)
-        partial_path.replace(path)
-    except OSError:
-        with suppress(OSError):
-            partial_path.unlink()
-        raise
+    with appearing(path) as begun, begun.open("wb") as file:
+        file.write(head)
+        if digest:
+            file.seek(layout.digest)
+            file.write(_summed(digest.encode()))
+        for offset, values in sections.items():
+            file.seek(offset)
+            file.write(np.ascontiguousarray(values).data)
+        file.truncate(layout.end)
 
 
 def read_field(path: Path, fresh: MetricDem | None = None) -> HeightField:

@@ -27,7 +27,7 @@ from skyline.arrays import (
     by_dimensions,
     refuse_text,
 )
-from skyline.errors import InputError, printable
+from skyline.errors import InputError, printable, some_of
 from skyline.geodesy.bounds import Bounds
 from skyline.geodesy.map_frame import Frame
 from skyline.terrain.lazy_heights import LazyHeights
@@ -136,7 +136,7 @@ class HeightField:
     def __repr__(self) -> str:
         samples, spacing, *others = self._facts().values()
         files = [Path(file).name for file in self.provenance.files]
-        others += files if len(files) < 2 else [f"{files[0]} and {len(files) - 1} more"]
+        others += [some_of(files, 1)] if files else []
         return f"HeightField({', '.join([f'{samples} samples', f'{spacing} apart', *others])})"
 
     def _repr_html_(self) -> str:

@@ -6,7 +6,6 @@ and of files beside them, the options, the code that reads them, and the setting
 datum shifts of its libraries.
 """
 
-import hashlib
 import logging
 import os
 import shutil
@@ -19,7 +18,7 @@ from pathlib import Path
 from pyproj.datadir import get_data_dir, get_user_data_dir  # type: ignore[attr-defined]
 
 from skyline.errors import SkylineError
-from skyline.files import archive_of, cache_folder, is_file, version_of
+from skyline.files import archive_of, cache_folder, digest_of, is_file, version_of
 from skyline.terrain.field_files import SUFFIX, LoggedWarning, read_field, save_dem
 from skyline.terrain.heightfield import HeightField, field_of
 from skyline.terrain.metric_dem import MetricDem
@@ -96,15 +95,15 @@ def place_of(names: Sequence[str], options: DemOptions) -> Path | None:
     code = [one for folder in _CODE for one in sorted(folder.glob("*.py"))]
     folders = [*get_data_dir().split(os.pathsep), get_user_data_dir()]
     shifts = [one for folder in folders for one in sorted(Path(folder).glob("*.tif"))]
-    parts = (
+    digest = digest_of(
         list(names),
         read,
         options,
         [(str(file), version_of(file)) for file in [*code, *shifts]],
         [(one, version(one)) for one in _LIBRARIES],
         _settings(),
+        digits=24,
     )
-    digest = hashlib.sha256(repr(parts).encode("utf-8", "surrogateescape")).hexdigest()[:24]
     return models_folder() / f"{digest}{SUFFIX}"
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from pyproj import CRS
 
 from skyline.arrays import BoolArray, Float32Array
-from skyline.errors import InputError
+from skyline.errors import InputError, some_of
 from skyline.terrain.datums import ELLIPSOID, GEOID, merged_conventions
 from skyline.terrain.grid import MAX_SAMPLES, STRIP_SAMPLES, Grid, full_turn
 from skyline.terrain.raster_tiles import Tile
@@ -332,8 +332,7 @@ def _check_vertical(tiles: Sequence[Tile]) -> None:
         datums.setdefault(tile.vertical.datum or "a datum that is not named", tile.source)
         references.setdefault(tile.vertical.reference, tile.source)
     for note, named in sources.items():
-        others = f" and {len(named) - 1} more" if len(named) > 1 else ""
-        _log.warning("%s%s: %s", named[0], others, note)
+        _log.warning("%s: %s", some_of(named, 1), note)
     if {GEOID, ELLIPSOID} <= references.keys():
         raise InputError(
             f"{references[GEOID]} has heights above the geoid and {references[ELLIPSOID]} above "

@@ -294,7 +294,7 @@ def is_on_map(field: HeightField, easting_m: ArrayLike, northing_m: ArrayLike) -
     return (west <= easting) & (easting <= east) & (south <= northing) & (northing <= north)
 
 
-def together(**values: ArrayLike) -> list[Float64Array]:
+def broadcast(**values: ArrayLike) -> list[Float64Array]:
     """Return named values broadcast together.
 
     Arrays of xarray are broadcast by the names of their dimensions, all others by position. Raises
@@ -323,8 +323,8 @@ def together(**values: ArrayLike) -> list[Float64Array]:
 
 
 def _flat(**values: ArrayLike) -> list[Float64Array]:
-    """Return values broadcast to (N,); raises as `together`."""
-    return [np.ascontiguousarray(array).reshape(-1) for array in together(**values)]
+    """Return values broadcast to (N,); raises as `broadcast`."""
+    return [np.ascontiguousarray(array).reshape(-1) for array in broadcast(**values)]
 
 
 def _check_heights(eye_height_m: Float64Array) -> None:

@@ -29,15 +29,18 @@ COMMANDS = {
     "sun": (("{dem}", "--at", "{at}", "--date", "2026-06-21"), "sun.read_terrain"),
     "panorama": (("{dem}", "--at", "{at}", "-o", "{out}.png"), "panorama.read_terrain"),
     "match": (("{store}", "{trace}", "--matcher", "unrefined"), "tasks.match.Matcher"),
-    "label": ((*POSED, "--peaks", "{peaks}", "-o", "{out}.png"), "tasks.label.read_dem"),
-    "pixels": ((*POSED, "--step", "40", "-o", "{out}.npz"), "tasks.pixels.read_dem"),
+    "label": ((*POSED, "--peaks", "{peaks}", "-o", "{out}.png"), "tasks.label.read_terrain"),
+    "pixels": ((*POSED, "--step", "40", "-o", "{out}.npz"), "tasks.pixels.read_terrain"),
     "cross": (
         ("{photo}", "{photo}", "--pose", "{pose}", "--pose", "{aside}", *MIDDLES, *IN_DEM),
-        "tasks.cross.read_dem",
+        "tasks.cross.read_terrain",
     ),
-    "when": ((*POSED, "--time", "2026-06-21T05:45Z", "--sun", "1,1", "-q"), "tasks.when.read_dem"),
-    "draw": ((*POSED, "--vectors", "{drawn}", "-o", "{out}.kml"), "tasks.draw.read_dem"),
-    "ortho": ((*POSED, "-o", "{out}.tif"), "tasks.ortho.read_dem"),
+    "when": (
+        (*POSED, "--time", "2026-06-21T05:45Z", "--sun", "1,1", "-q"),
+        "tasks.when.read_terrain",
+    ),
+    "draw": ((*POSED, "--vectors", "{drawn}", "-o", "{out}.kml"), "tasks.draw.read_terrain"),
+    "ortho": ((*POSED, "-o", "{out}.tif"), "tasks.ortho.read_terrain"),
     "orient": (("{trace}", *PLACED, "-o", "{out}.csv"), "orient.read_terrain"),
     "locate": (
         ("{photo}", "--near", "{at},1", *IN_DEM, "--report", "{out}"),
@@ -48,7 +51,7 @@ COMMANDS = {
     "build": (("{dem}", "--spacing", 900, "-o", "{out}.h5"), "build.read_terrain"),
     "render": (
         ("{dem}", "--spacing", 1500, "--width", 64, "-o", "{out}.h5"),
-        "tasks.render.read_dem",
+        "tasks.render.read_terrain",
     ),
     "store check": (("{store}",), "store.check_store"),
     "store repair": (("{store}", "-o", "{out}.h5"), "store.repair_store"),

@@ -20,7 +20,6 @@ from skyline.render.context import (
     best_device,
     held_context,
     process_context,
-    release_context,
 )
 
 
@@ -64,8 +63,8 @@ def test_one_context_is_shared_and_a_released_one_is_made_anew():
     with held_context() as before, held_context() as again:
         assert again is before
         assert before.ctx.version_code >= 430
-    release_context()
-    release_context()
+    process_context().release()
+    process_context().release()
     with held_context() as after:
         assert after is not before
         assert cleared(after) == GREEN
@@ -110,7 +109,7 @@ def test_a_fork_after_the_context_is_refused_and_leaves_the_parent_alone():
 
 
 def test_an_unknown_backend_names_those_known(monkeypatch):
-    release_context()
+    process_context().release()
     monkeypatch.setenv("SKYLINE_GL", "metal")
     said = r"SKYLINE_GL is 'metal'; expected egl or osmesa"
     with pytest.raises(InputError, match=said), held_context():

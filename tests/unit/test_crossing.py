@@ -9,7 +9,6 @@ from scenes import candidate_at, perturbed
 from skyline.crossing import Ray, cross
 from skyline.errors import InputError
 from skyline.geodesy.earth import Curvature
-from skyline.ground import GroundErrors
 from skyline.photo.skyline import PhotoSkyline
 
 CURVED = Curvature()
@@ -18,7 +17,7 @@ SD_DEG = 0.1
 WIDTH_PX, HEIGHT_PX = 4000, 3000
 PHOTO = PhotoSkyline(np.full(WIDTH_PX, np.nan), np.zeros(WIDTH_PX), WIDTH_PX, HEIGHT_PX)
 ANGLES = np.diag([1e-6] * 3 + [np.radians(SD_DEG) ** 2] * 2 + [0.0] * 3)
-PIXEL = GroundErrors(pixel_sd_px=0.01)
+SURE_PX = 0.01
 
 
 def direction_of(pose, place):
@@ -58,7 +57,7 @@ def place_of(found):
 
 
 def test_rays_cross_where_the_smoke_stands():
-    found = cross([ray_from(-4000.0, 0.0), ray_from(4000.0, 0.0)], CURVED, PIXEL)
+    found = cross([ray_from(-4000.0, 0.0), ray_from(4000.0, 0.0)], CURVED, SURE_PX)
     np.testing.assert_allclose(place_of(found), SMOKE, atol=0.01)
     assert found.meets
     # Both look across by 45 degrees: 0.1 degrees are 9.9 m over 5.7 km, and two rays halve the
@@ -70,13 +69,13 @@ def test_rays_cross_where_the_smoke_stands():
 def test_a_third_ray_makes_the_place_surer():
     two = [ray_from(-4000.0, 0.0), ray_from(4000.0, 0.0)]
     three = [*two, ray_from(0.0, 0.0)]
-    before, after = (np.diag(cross(rays, CURVED, PIXEL).covariance_m2) for rays in (two, three))
+    before, after = (np.diag(cross(rays, CURVED, SURE_PX).covariance_m2) for rays in (two, three))
     assert (after < before).all()
 
 
 def test_rays_that_pass_each_other_are_said_to_miss():
     rays = [ray_from(-4000.0, 0.0), ray_from(4000.0, 0.0, off_deg=(0.0, 1.0))]
-    found = cross(rays, CURVED, PIXEL)
+    found = cross(rays, CURVED, SURE_PX)
     assert not found.meets
     # Half of the misfit of 10 standard errors is left to each ray: 2 times 5 squared.
     assert found.chi_square == pytest.approx(50.0, rel=0.1)
@@ -149,6 +148,6 @@ def test_a_place_that_is_unsure_with_the_heading_is_surer_than_each_alone():
     for covariance in (coupled, apart):
         # Both look to the north: 30 m east are 30 m of the smoke, turned back over 4 km.
         poses = [looking_at(SMOKE, east_m, 0.0, covariance=covariance) for east_m in (-400, 400)]
-        found = cross([ray_of(pose, SMOKE) for pose in poses], CURVED, PIXEL)
+        found = cross([ray_of(pose, SMOKE) for pose in poses], CURVED, SURE_PX)
         sds.append(np.sqrt(across @ found.covariance_m2[:2, :2] @ across))
     assert sds[0] < 0.2 * sds[1]

@@ -6,7 +6,6 @@ from scenes import field_of, fractal
 
 from skyline.paper import plan as planning
 from skyline.paper.plan import PlanConfig, plan
-from skyline.paper.plan_check import wilson_interval
 from skyline.paper.planners import PLANNERS, arov
 from skyline.plugins import names_of
 from skyline.skylines import Views
@@ -68,9 +67,3 @@ def test_holes_and_the_border_are_never_chosen(terrain, name):
         row, col = terrain.to_grid(easting_m=eyes.easting_m, northing_m=eyes.northing_m)
         assert ((row >= 1) & (row <= 58) & (col >= 1) & (col <= 58)).all()
         assert not ((row > 19) & (row < 25) & (col > 19) & (col < 40)).any()
-
-
-def test_wilson_interval_against_a_published_value():
-    # 15 of 20: Newcombe 1998 gives 0.5313 to 0.8881.
-    low, high = wilson_interval(15, 20)
-    assert (round(low, 3), round(high, 3)) == (0.531, 0.888)

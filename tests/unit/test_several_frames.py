@@ -63,7 +63,7 @@ def test_a_prior_is_as_wide_in_every_frame():
     exif = NotedPlace(lonlat_deg=(LON, LAT))
     priors = Prior.of(narrowing, FRAMES[0], exif).in_frames(FRAMES)
     for prior, frame in zip(priors, FRAMES, strict=True):
-        ((east, north, radius_m),) = prior.circles_m
+        east, north, radius_m = prior.circle_m
         assert frame.to_lonlat(east, north) == pytest.approx((LON, LAT))
         assert radius_m == 2000.0
         assert (prior.noted.easting_m, prior.noted.northing_m) == (east, north)

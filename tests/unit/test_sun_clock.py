@@ -29,7 +29,7 @@ PHOTO = PhotoSkyline(
 )  # fmt: skip
 DAY = date(2026, 3, 1)
 MORNING = datetime(2026, 3, 1, 8, 0, tzinfo=UTC)
-SURE = GroundErrors(pixel_sd_px=0.1)
+SURE_PX = 0.1
 FIRM = np.diag(np.square([5.0, 5.0, 2.0, *np.radians([0.1, 0.05, 0.05]), 3e-3, 3e-3]))
 
 
@@ -55,7 +55,9 @@ def pixel_of(pose, azimuth_deg, elevation_deg):
 def test_the_sun_in_a_photo_tells_the_time():
     pose = camera_at(pitch_deg=10.0)
     sun = sky_of(pose).look(Body.SUN, MORNING)
-    pointing = body_pointing(pose, PHOTO, pixel_of(pose, sun.azimuth_deg, sun.elevation_deg), SURE)
+    pointing = body_pointing(
+        pose, PHOTO, pixel_of(pose, sun.azimuth_deg, sun.elevation_deg), SURE_PX
+    )
     (found,) = times_at(pointing, sky_of(pose), Body.SUN, DAY, pose.lon)
     assert abs(found.time - MORNING) < timedelta(seconds=2)
     assert found.off_sds < 0.1
@@ -66,7 +68,7 @@ def test_an_error_of_the_heading_is_an_error_of_the_time():
     pose = camera_at(pitch_deg=10.0, covariance=np.diag(np.square(sds)))
     sun, later = (sky_of(pose).look(Body.SUN, MORNING + timedelta(minutes=m)) for m in (0, 10))
     pixel = pixel_of(pose, sun.azimuth_deg, sun.elevation_deg)
-    pointing = body_pointing(pose, PHOTO, pixel, SURE)
+    pointing = body_pointing(pose, PHOTO, pixel, SURE_PX)
     # A pitch that nobody knows leaves the azimuth alone, and the sun's azimuth grows evenly.
     expected_s = 600.0 * 0.5 / (later.azimuth_deg - sun.azimuth_deg)
     found = times_at(pointing, sky_of(pose), Body.SUN, DAY, pose.lon)[0]
@@ -104,7 +106,7 @@ def test_the_sun_at_a_known_time_tells_the_heading():
     sun = sky_of(pose).look(Body.SUN, MORNING)
     # The camera looked 2 degrees farther to the right than the pose says.
     pixel = pixel_of(pose, sun.azimuth_deg - 2.0, sun.elevation_deg)
-    pointing = body_pointing(pose, PHOTO, pixel, SURE)
+    pointing = body_pointing(pose, PHOTO, pixel, SURE_PX)
     found = heading_at(pose, pointing, sky_of(pose), Body.SUN, MORNING)
     assert found.heading_deg == pytest.approx(pose.heading_deg + 2.0, abs=0.01)
     assert found.above_deg == pytest.approx(0.0, abs=0.01)
@@ -116,7 +118,7 @@ def test_a_sun_that_stood_higher_than_its_pixel_tells_no_heading():
     pose = camera_at(pitch_deg=10.0)
     sun = sky_of(pose).look(Body.SUN, MORNING)
     pixel = pixel_of(pose, sun.azimuth_deg, sun.elevation_deg)
-    pointing = body_pointing(pose, PHOTO, pixel, SURE)
+    pointing = body_pointing(pose, PHOTO, pixel, SURE_PX)
     with pytest.raises(InputError, match="whatever the heading; check the time"):
         heading_at(pose, pointing, sky_of(pose), Body.SUN, MORNING + timedelta(hours=1))
 
@@ -185,7 +187,7 @@ def test_a_shadow_across_a_flat_view_tells_nothing():
 
 def test_a_body_that_does_not_rise_or_passes_elsewhere_is_said():
     pose = camera_at(pitch_deg=10.0)
-    pointing = body_pointing(pose, PHOTO, (500.0, 400.0), SURE)
+    pointing = body_pointing(pose, PHOTO, (500.0, 400.0), SURE_PX)
     with pytest.raises(InputError, match="stays below the horizon on 2026-12-21"):
         times_at(pointing, Sky(20.0, 75.0, 0.0), Body.SUN, date(2026, 12, 21), 20.0)
     with pytest.raises(InputError, match="does not stand there on 2026-06-21: it is nearest at"):

@@ -202,8 +202,7 @@ def scene_rgb(
     ground[shown] = ground_rgb(
         renderer.field, place, np.linalg.norm(points, axis=1), scenery, generator
     )
-    share = ground_share[..., np.newaxis]
-    return np.asarray(sky * (1.0 - share) + ground * share, dtype=np.float64)
+    return mixed(sky, ground, ground_share)
 
 
 def _carried_up(distance: Float64Array) -> Float64Array:

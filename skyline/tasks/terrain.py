@@ -1,0 +1,34 @@
+"""The elevation model of a command: reading it, its curvature, and outputs beside it."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from skyline.errors import InputError
+from skyline.files import lies_in_any
+from skyline.geodesy.earth import Curvature
+from skyline.tasks.listener import Listener
+from skyline.terrain.dem import read_dem
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.provenance import DemOptions
+
+
+def read_terrain(listener: Listener, dem: Sequence[str], crs: str | None) -> HeightField:
+    """Read an elevation model from files, or folders of them.
+
+    ``crs`` is of files that name none. If reading takes long, a note names the step.
+    """
+    with listener.slow("reading the elevation model"):
+        return read_dem(dem, DemOptions(crs=crs))
+
+
+def curvature_of(terrain: HeightField, refraction_k: float | None) -> Curvature:
+    """Return the curvature of a terrain's world, with another refraction if one is given."""
+    usual = terrain.frame.curvature
+    return usual if refraction_k is None else replace(usual, refraction_k=refraction_k)
+
+
+def refuse_in_dem(output: Path, dem: Sequence[str]) -> None:
+    """Raise `InputError` for an output in a folder of elevation files."""
+    if lies_in_any(output, dem):
+        raise InputError(f"{output} would become a part of the DEM; choose another folder for it")
