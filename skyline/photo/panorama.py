@@ -14,11 +14,11 @@ from skyline.photo.xmp import Xmp
 GPANO = "http://ns.google.com/photos/1.0/panorama"
 """Namespace of the properties of panoramas (GPano, https://developers.google.com/streetview)."""
 _NAMES_PANORAMA = re.compile("GPano|photos/1.0/panorama")
-"""A packet that notes a panorama contains this text."""
+"""Text that every packet that notes a panorama contains."""
 _OF_A_LENS = {"rectilinear", Projection.PERSPECTIVE}
-"""Names of the projection of photos through a lens."""
+"""The names that XMP has for the projection of photos through a lens."""
 _WIDEST_PX = 1e8
-"""The widest full turn of a panorama that is believed."""
+"""The widest full turn of a panorama that is plausible."""
 _SWEPT = 6.0
 """Value of CustomRendered that Apple's phones note for a panorama."""
 _SWEPT_HEIGHT = 0.83
@@ -30,7 +30,7 @@ _SWEPT_SD = 0.12
 def panorama_of_xmp(xmp: Xmp, size_px: tuple[int, int]) -> tuple[Projection, Lens] | None:
     """Return the projection and field of view of a panorama in XMP.
 
-    It is None if XMP notes no panorama. ``size_px`` is the width and the height of the file's
+    Returns None if XMP notes no panorama. ``size_px`` is the width and the height of the file's
     pixels, upright. XMP notes the size of the panorama when it was made and the width of a full
     turn. A file of that shape shows the whole panorama. A file with all its rows or all its columns
     was cropped to its own size. Any other file shows at least its pixels at the panorama's scale,
@@ -65,7 +65,7 @@ def panorama_of_xmp(xmp: Xmp, size_px: tuple[int, int]) -> tuple[Projection, Len
 def _panorama_lens(
     size_px: tuple[int, int], width: float, height: float | None, deg_per_px: float
 ) -> Lens:
-    """Return the field of view of a file's part of a panorama."""
+    """Return the field of view of the part of a panorama in a file."""
     kept_px = width if height is None else cropped_width(size_px, (width, height))
     fov_deg = kept_px * deg_per_px
     if fov_deg < MIN_FOV_DEG:
@@ -92,7 +92,7 @@ def _panorama_lens(
 def swept_lens_of(tags: Tags, size_px: tuple[int, int]) -> Lens | None:
     """Return the field of view of a panorama that a phone swept.
 
-    It is None if EXIF notes no such panorama. ``size_px`` is the panorama's width and height,
+    Returns None if EXIF notes no such panorama. ``size_px`` is the panorama's width and height,
     upright. A panorama has the scale of the camera held upright, but phones keep more or less of
     the height.
     """

@@ -36,10 +36,11 @@ def report_matches(
     done: str = "",
     served: tuple[str, str] | None = None,
 ) -> Path:
-    """Write ``index.html``, its pictures and ``matches.geojson`` into a folder; return the page.
+    """Write a report into a folder, and return its page.
 
-    The page holds its pictures itself, so that it can be sent as one file. The GPS position in a
-    photo's EXIF is left out of all of them. Where a file cannot be written, no new folder stays.
+    The report is ``index.html``, its pictures and ``matches.geojson``. The page embeds its
+    pictures, so it can be sent as one file. None of them has the GPS position of a photo's EXIF. If
+    a file cannot be written, no new folder is left.
 
     Parameters
     ----------
@@ -112,7 +113,7 @@ def report_matches(
 def _answered(results: Sequence[MatchResult]) -> str:
     """Return the number of answered searches in words.
 
-    The words are empty if all poses were set by hand.
+    Empty if all poses were set by hand.
     """
     searched = [one for one in results if one.best is None or one.best.rank]
     answered = sum(one.answer is not None for one in searched)
