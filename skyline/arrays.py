@@ -53,7 +53,7 @@ def refuse_text(**given: object) -> None:
 
 
 def by_dimensions(*values: Any) -> list[Any]:
-    """Return values, broadcast by the names of their dimensions if they have any.
+    """Return values, broadcast by the names of their dimensions, if any.
 
     By position, the two axes of a square raster would give the places of its diagonal. The
     dimensions of the last value come first, so that x and y make rows of y.
@@ -67,7 +67,7 @@ def by_dimensions(*values: Any) -> list[Any]:
 
 
 class ShortRepr:
-    """Base of dataclasses that print on one line, with the shapes of their arrays.
+    """Base of dataclasses that print on one line, arrays as shapes.
 
     The dataclass needs ``repr=False``.
     """

@@ -142,7 +142,7 @@ def _names_on_input() -> list[Path]:
 
 
 def _expanded(path: Path) -> Iterator[Path]:
-    """Yield a path, or the files that a folder or a wildcard stands for."""
+    """Yield a path, or the files of a folder or wildcard."""
     if path.is_dir():
         pictures = photos_in(path, lambda folder: is_own_page(folder / REPORT_PAGE))
         yield from sorted(pictures, key=_in_order)

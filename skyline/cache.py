@@ -138,7 +138,7 @@ def prepare_area(
     print_note: PrintNote = lambda _: None,
     bar: Bar = lambda _: nullcontext(),
 ) -> CachedArea:
-    """Return an area from the cache, and build it if it is missing.
+    """Return an area from the cache; build it if missing.
 
     ``dem`` is elevation files, folders of them, or a model in memory. Without it, tiles are fetched
     from ``source``, a source of `fetch_dem`, by default `source_of`. Raises `InputError` where the
@@ -187,7 +187,7 @@ def store_of(path: Path) -> Path:
 
 
 def title_of(store: Path) -> str:
-    """Return a store's name: its file's, or the bounds of a cached area."""
+    """Return a store's name: its file's, or a cached area's bounds."""
     bounds = _bounds_of(store.parent.name) if store.name == _STORE else None
     return store.name if bounds is None else "area " + ",".join(f"{one:.2f}" for one in bounds)
 
@@ -368,7 +368,7 @@ def _unwritable(reason: str) -> InputError:
 
 @contextmanager
 def _explained() -> Iterator[None]:
-    """Turn errors of a full or read-only disk into one that names the cache."""
+    """Turn errors of a full or read-only disk into an `InputError`."""
     no_room = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
     no_rights = {errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR, errno.EEXIST}
     try:

@@ -87,7 +87,7 @@ class Projection(StrEnum):
         return MAX_FISHEYE_DEG if self is Projection.FISHEYE else MAX_FOV_DEG
 
     def check_fov_deg(self, fov_deg: float) -> float:
-        """Return a horizontal field of view, or raise `InputError` if it is impossible."""
+        """Return a field of view, or raise `InputError` if impossible."""
         if not MIN_FOV_DEG <= fov_deg <= self.most_fov_deg:
             raise InputError(
                 f"horizontal field of view is {fov_deg:g} degrees; expected {MIN_FOV_DEG:g} to "
@@ -110,13 +110,13 @@ class Projection(StrEnum):
     def rays(
         self, across: Float64Array, above: Float64Array, fov_deg: float
     ) -> tuple[Float64Array, Float64Array]:
-        """Return u and v, on an image of unit focal length, of a photo's places.
+        """Return u and v of places in a photo.
 
-        Through a lens, u and v are right and up divided by forward: the ray is (u, v, 1). A
-        panorama's image is a cylinder: u is the azimuth from its middle in radians, v the tangent
-        of the elevation, and the ray is (sin u, v, cos u). A fisheye's u and v lie at the distance
-        a from the middle, where a is the angle off the axis in radians: the ray is (u sin a / a, v
-        sin a / a, cos a).
+        They lie on an image of unit focal length. Through a lens, u and v are right and up divided
+        by forward: the ray is (u, v, 1). A panorama's image is a cylinder: u is the azimuth from
+        its middle in radians, v the tangent of the elevation, and the ray is (sin u, v, cos u). A
+        fisheye's u and v lie at the distance a from the middle, where a is the angle off the axis
+        in radians: the ray is (u sin a / a, v sin a / a, cos a).
 
         Parameters
         ----------
@@ -147,7 +147,7 @@ class Projection(StrEnum):
         return half_rad if self.spreads_angles else np.tan(half_rad)
 
     def fov_deg(self, half_width: Any) -> Any:
-        """Return the field of view of a half width; the inverse of `half_width`."""
+        """Return a half width's field of view; the inverse of `half_width`."""
         half_rad = half_width if self.spreads_angles else np.arctan(half_width)
         return np.degrees(2.0 * half_rad)
 
@@ -203,7 +203,7 @@ def undistorted(
 
 
 def _fixed_at(projection: Projection) -> float:
-    """Return the squared distance from the middle that a distortion does not change.
+    """Return the squared distance from the middle that no distortion changes.
 
     It is in halves of the width: a lens's field of view is defined in its middle, a fisheye's at
     its sides.
@@ -460,7 +460,7 @@ class ImagePoints:
 
     @property
     def reach(self) -> Float64Array:
-        """The share (R,) by which a distortion of 1 would move points outwards.
+        """Share (R,) by which a distortion of 1 moves points outwards.
 
         It is the squared distance from the image's middle, in half widths; see `undistorted`.
         """
@@ -469,18 +469,21 @@ class ImagePoints:
 
     @property
     def wander(self) -> Float64Array:
-        """The ways (R, 4) in which a panorama's rows wander; none for lenses."""
+        """Ways (R, 4) in which a panorama's rows wander."""
         if not self.is_panorama:
             return np.zeros((len(self.u), 0))
         return wander_of(self.u / self.half_width)
 
     def log_scale(self, fov_deg: Float64Array | float) -> Float64Array:
-        """Return the logarithm of the factor on u and v for a field of view."""
+        """Return the logarithm of the scale that gives a field of view.
+
+        The scale is the factor on u and v.
+        """
         half_width = self.projection.half_width(fov_deg)
         return np.asarray(np.log(half_width) - np.log(self.half_width))
 
     def fov_at(self, log_scale: Float64Array) -> Float64Array:
-        """Return the field of view, degrees, for a factor on u and v.
+        """Return fields of view, degrees, from logarithms of scales.
 
         The inverse of `log_scale`.
         """
@@ -622,7 +625,7 @@ class Camera:
     def directions(
         self, column_px: ArrayLike, row_px: ArrayLike
     ) -> tuple[Float64Array, Float64Array]:
-        """Return the grid azimuths and elevation tangents of pixels. Azimuths are in degrees.
+        """Return the grid azimuths, degrees, and elevation tangents of pixels.
 
         The inverse of `pixels`.
         """

@@ -52,7 +52,7 @@ class SkylineError(Exception):
 
 
 class InputError(SkylineError, ValueError):
-    """A value, a file or an option that cannot be used as given."""
+    """A value, file or option that cannot be used as given."""
 
     exit_code = 2
 

@@ -183,7 +183,10 @@ def left_out_in_words(names: Sequence[str], expected: str) -> str:
 
 
 def has_locks(path: Path) -> bool:
-    """Return whether a file can be locked; in some network folders none can."""
+    """Return whether a file can be locked.
+
+    In some network folders none can.
+    """
     with path.open("rb") as file:
         try:
             fcntl.lockf(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
@@ -221,7 +224,10 @@ def lock_file(path: Path, before_waiting: Callable[[], object] | None = None) ->
 
 
 def lies_in_any(output: Path, folders: Iterable[str]) -> bool:
-    """Return whether an output is one of some folders, or anywhere inside one."""
+    """Return whether an output is one of some folders, or inside one.
+
+    It may lie in a folder of such a folder.
+    """
     place = output.resolve()
     return not {Path(one).resolve() for one in folders}.isdisjoint([place, *place.parents])
 

@@ -60,7 +60,7 @@ def packages_with(letters: Iterable[str]) -> list[str]:
 
 
 def _package(letter: str) -> str:
-    """Return the Debian package of fonts for a letter, or an empty text."""
+    """Return the Debian package of fonts for a letter, or ""."""
     if unicodedata.name(letter, "").startswith(_CJK):
         return "fonts-noto-cjk"
     kind = unicodedata.category(letter)

@@ -136,7 +136,7 @@ def _seen(
 
 
 def _lazily_seen(eyes: _Eyes, look: _Look, first: tuple[int, ...]) -> Any:
-    """Return what all samples see as a Dask array, in the grid's chunks."""
+    """Return what all samples see, as an array of Dask."""
     dask = library("dask.array", "a DataArray in chunks", "'dask[array]'")
     down, across = eyes.grid.chunks or ((), ())
     rows = dask.arange(eyes.grid.shape[0], chunks=(down,))[:, np.newaxis]
@@ -170,7 +170,7 @@ def _factors(eyes: _Eyes, rows: IntArray, cols: IntArray) -> Float32Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Grid:
-    """The samples of a DEM as it was given, and DataArrays on them."""
+    """The samples of a DEM as given, and DataArrays on them."""
 
     field: HeightField
     x: Float64Array

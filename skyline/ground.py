@@ -1,4 +1,4 @@
-r"""The ground that a camera's pixels show, with errors, and the way back.
+r"""The ground that pixels show, with its errors, and the way back.
 
 A ray of azimuth a and tangent y meets the ground at the distance d. There the ground rises by g,
 and by s more steeply than the ray. If the eye stood at t (east, north) and up from where it is
@@ -249,7 +249,7 @@ class GroundView:
     def _rises(
         self, azimuth_rad: Float64Array, easting_m: Float64Array, northing_m: Float64Array
     ) -> tuple[Float64Array, Float64Array]:
-        """Return the ground's rise (N,) per metre along rays, and to their right."""
+        """Return the ground's rise (N,) along rays, and to their right."""
         east, north = ground_slope(ground_of(self.terrain), easting_m, northing_m).T
         sine, cosine = np.sin(azimuth_rad), np.cos(azimuth_rad)
         return east * sine + north * cosine, east * cosine - north * sine
@@ -262,7 +262,7 @@ class GroundView:
         slope: Float64Array,
         sd_m: Float64Array,
     ) -> Float64Array:
-        """Return how much more steeply than N rays the ground rises on average.
+        """Return how much more steeply than rays (N,) the ground rises.
 
         ``sd_m`` (N,) is the standard error of a ray's height over the place where it meets the
         ground, and ``slope`` the slope right there, which stands in where the ray beside it shows

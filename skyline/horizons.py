@@ -179,7 +179,7 @@ class LocalHorizons:
         return int(np.argmin(geod.inv(*at, self.lon.ravel(), self.lat.ravel())[2]))
 
     def _taken(self, numbers: Any) -> LocalHorizons:
-        """Return places by their indices, row by row, in the shape of the indices."""
+        """Return places by their indices, in the shape of the indices."""
         columns = self.ravel()._columns()
         return replace(self, **{name: values[numbers] for name, values in columns.items()})
 
@@ -312,7 +312,7 @@ class LocalHorizons:
         return f"lon {self.lon:.5f}, lat {self.lat:.5f}, eye {self.eye_elevation_m:.0f} m"
 
     def _labels(self) -> list[str | int]:
-        """Return labels of the places, row by row: their ids, or else their indices."""
+        """Return the places' labels: their ids, or else their indices."""
         return list(np.ravel(self.id).tolist() if self.has_ids else range(self.size))
 
     def __repr__(self) -> str:
@@ -457,7 +457,7 @@ class LocalHorizons:
 
 
 def _drawable(names: Sequence[str]) -> list[tuple[str, tuple[str, ...]]]:
-    """Return names, with "" and a warning for those that no font can draw."""
+    """Return names, or "" with a warning where no font draws one."""
     from skyline.fonts import fonts_for  # noqa: PLC0415  (slow to load)
 
     drawable = []
@@ -565,7 +565,7 @@ def horizon(  # noqa: PLR0913  (independent conditions)
 
 
 def _names_of(ids: ArrayLike) -> NDArray[np.str_]:
-    """Return ids as texts; missing ones, as in a pandas table, are empty."""
+    """Return ids as texts; missing ones, as in pandas, are empty."""
     given = np.asarray(ids, dtype=object)
     names = [
         "" if not isinstance(one, str) and str(one) in _MISSING else str(one)

@@ -379,7 +379,7 @@ class Orienter(Closeable):
         return Standing.of_noted(noted, ground)
 
     def _relief_m(self, away_m: float) -> float:
-        """Return the rms height of the ground on a ring, above the place."""
+        """Return the ground's rms height above the place, on a ring."""
         ground_m = self._around(away_m).eye_elevation_m - DEFAULT_EYE_HEIGHT_M
         return math.sqrt(np.mean((ground_m - self._ground_m) ** 2))
 

@@ -265,7 +265,7 @@ class Pose:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NotedPose:
-    """A pose as it was written down, not yet placed on a terrain.
+    """A pose as written down, not yet placed on a terrain.
 
     Attributes
     ----------
@@ -498,7 +498,7 @@ class FitFigures(Rows):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sites(Rows):
-    """The locations of M poses that were found in areas of several frames."""
+    """The locations of M poses found in areas of several frames."""
 
     area: IntArray
     """(M,) intp. As in `Pose`."""

@@ -220,7 +220,7 @@ def quadrants(
 
 
 def quadrant_bins(heading: NDArray[np.integer], bins: int) -> IntArray:
-    """Return the bins of the full turn (N, B / 4) that views cover.
+    """Return the full turn's bins that views cover, (N, B / 4).
 
     The views look along headings (N,).
     """

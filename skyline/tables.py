@@ -203,7 +203,7 @@ def csv_lines(rows: Iterable[Iterable[object]]) -> str:
 
 
 def _cell(value: object) -> object:
-    """Return a text as it is written, with an apostrophe before a formula."""
+    """Return a text as written, with an apostrophe before a formula."""
     if not isinstance(value, str):
         return value
     text = printable(value)

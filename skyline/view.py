@@ -123,13 +123,13 @@ class SeenPeak(Sighting):
     row_px: float
 
     def doubted(self, confidence: float) -> SeenPeak:
-        """Return the peak with the probability of its name written behind the name."""
+        """Return the peak with its name's probability behind the name."""
         return replace(self, name=f"{self.name} ({100.0 * confidence:.0f} %)")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UnseenPeaks:
-    """The names of the peaks that a photo does not show, by reason."""
+    """The peaks that a photo does not show, by reason."""
 
     hidden: tuple[str, ...]
     """Terrain stands before them."""

@@ -306,7 +306,7 @@ def _margin_or(found: Poses, least_m: float, otherwise: Float64Array) -> Float64
 
 
 def _photo_figures(rays: Rays, count: int) -> dict[str, Float64Array]:
-    """Return the figures of a skyline's width and relief, and of its lens."""
+    """Return the figures of a skyline's width, relief and lens."""
     azimuth, y = level(rays.u, rays.v, 0.0, 0.0, rays.projection)
     # Relief is the deviation from a line: a pitch and a roll can explain the line.
     trend = np.polynomial.Polynomial.fit(azimuth, y, 1, w=np.sqrt(rays.weight))

@@ -131,7 +131,7 @@ class _Points(Rows):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Pieces:
-    """P pieces of ridges in a photo's shades, with N points in order."""
+    """P pieces of ridges in a photo's shades, with N points."""
 
     column: Float64Array
     row: Float64Array
@@ -353,7 +353,7 @@ def _strengths(pieces: _Pieces, gradients: _Gradients) -> Float64Array:
 
 
 def _scores(strengths: Float64Array, play_px: IntArray) -> Float64Array:
-    """Return the ranks (2 S + 1, P) of pieces at each shift.
+    """Return the pieces' ranks at each shift, (2 S + 1, P).
 
     They are normal deviates; NaN at shifts that are neither 0 nor used for chance, and for pieces
     whose chance is not known.

@@ -73,7 +73,7 @@ class SearchMethod(ABC):
 
     @abstractmethod
     def search(self, rays: Rays, prior: Prior, top: int, report: ReportProgress = silent) -> Poses:
-        """Return up to ``top`` poses of a photo, best first; none if nothing fits.
+        """Return up to ``top`` poses that fit a photo, best first.
 
         Parameters
         ----------
@@ -117,7 +117,7 @@ class SearchMethod(ABC):
         raise InputError("this matcher knows no probabilities; use the full one")
 
     def fitted(self, rays: Rays, start: Pose, prior: Prior, about_start: Rays) -> Poses:
-        """Return a pose refined from a start; none if nothing near it fits.
+        """Return a pose refined from a start, or none.
 
         ``about_start`` are the photo's rays with fields of view about the start's.
         """

@@ -194,7 +194,7 @@ def _fisheye(columns: Rays) -> Rays:
 
 
 def _range_deg(fov_deg: float, most_deg: float) -> tuple[float, float]:
-    """Return the range of fields of view that are tried about a given one."""
+    """Return the range of fields of view tried about a given one."""
     low_deg = _BENT.least_fov_share * fov_deg
     high_deg = _BENT.greatest_fov_share * fov_deg
     return min(low_deg, most_deg), min(high_deg, most_deg)

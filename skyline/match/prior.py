@@ -251,7 +251,7 @@ class KnownGround:
 
 @dataclass(frozen=True, slots=True)
 class Standing:
-    """One way in which an eye may stand at a known place: on the ground or aloft."""
+    """How an eye stands at a known place: grounded or aloft."""
 
     eye: EyeHeightPrior
     elevation_m: float | None = None

@@ -366,7 +366,7 @@ class Refinement:
         return replace(poses, fits=fits)
 
     def _of_elevation(self, poses: Poses, covariance: Float64Array) -> Float64Array:
-        """Return covariances (M, P, P) with the eye's elevation in place of its height.
+        """Return covariances (M, P, P) with the eye's elevation for its height.
 
         An eye that moves over sloping ground keeps its height above it.
         """

@@ -342,7 +342,10 @@ class JointResult:
 
     @property
     def places(self) -> tuple[Pose, ...]:
-        """The places, best first, with the camera of the first photo that agrees."""
+        """The places, best first.
+
+        They have the camera of the first photo that agrees.
+        """
         return () if self.first is None else self.first.candidates
 
     @property
@@ -355,7 +358,7 @@ class JointResult:
 
     @property
     def within_m(self) -> float | None:
-        """Distance within which the answer is sure to be right; None without one."""
+        """Distance within which the answer is surely right; None without one."""
         return None if self.first is None else self.first.within_m
 
     @property

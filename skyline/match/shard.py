@@ -1,4 +1,4 @@
-"""A shard: some places of one elevation model, and how a search asks about them.
+"""A shard: places of one elevation model, which a search questions.
 
 A search ranks the places of all shards together. It asks each shard for scores, turns and fits of
 the shard's own places, and chooses among what it gets. A shard keeps nothing about a photo.

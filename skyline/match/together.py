@@ -132,7 +132,10 @@ class JointRefinement:
         return cost - np.where(np.isfinite(least), least, 0.0)[:, np.newaxis]
 
     def _precision(self, particles: Sequence[Particles], share: Float64Array) -> Float64Array:
-        """Return each photo's precision (N, M, 3, 3) of the eye, times its ``share``."""
+        """Return each photo's precision of the eye, (N, M, 3, 3).
+
+        Each counts with its ``share``.
+        """
         covariance = np.stack(
             [
                 solver.covariance(own.fit, *solver.evaluate(own.curves, own.fit))[:, _EYE, _EYE]

@@ -1,4 +1,4 @@
-"""The verdict on a match: how sure it is, or why it is refused.
+"""The verdict on a match: how sure, or why refused.
 
 All reasons for having no answer are here, in the order in which they are checked:
 

@@ -33,7 +33,7 @@ class _Shapes:
 
 @dataclass(frozen=True, slots=True)
 class Crop:
-    """The field of view of a crop, as a share of the greatest possible.
+    """The field of view of a crop, over the greatest possible one.
 
     It is assumed to be distributed evenly from a half to 1.
     """

@@ -205,7 +205,7 @@ def _unlimited_size() -> Iterator[None]:
 
 
 def shrink_if_large(name: str, image: Image.Image, limits: SizeLimits = LIMITS) -> None:
-    """Decode a large JPEG at a smaller size, and refuse other large images.
+    """Decode a large JPEG smaller, and refuse other large images.
 
     A raw file is a TIFF whose first picture is a preview, with 1 as its NewSubfileType. Raises
     `InputError`.

@@ -379,7 +379,7 @@ def _without_agreement(sources: Sequence[_Source], known: _FocalLength | None) -
 
 
 def _covering(source: str, diagonals: Sequence[float], least_sd: float) -> _FocalLength:
-    """Return the middle of focal lengths, with a standard deviation that covers them."""
+    """Return the middle of focal lengths; its standard deviation covers them."""
     short = min(diagonals)
     long = max(diagonals)
     sd = max(0.5 * log(long / short), least_sd)
@@ -387,7 +387,7 @@ def _covering(source: str, diagonals: Sequence[float], least_sd: float) -> _Foca
 
 
 def _is_lens(diagonals: float, focal_mm: float | None) -> bool:
-    """Return whether a lens can have a focal length, given in frame diagonals."""
+    """Return whether a lens can have a focal length (frame diagonals)."""
     if 2.0 * degrees(atan(0.5 / diagonals)) > _FOCAL.widest_deg:
         return False
     return focal_mm is None or _FOCAL.sensor_mm[0] <= focal_mm / diagonals <= _FOCAL.sensor_mm[1]

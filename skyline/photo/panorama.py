@@ -65,7 +65,7 @@ def panorama_of_xmp(xmp: Xmp, size_px: tuple[int, int]) -> tuple[Projection, Len
 def _panorama_lens(
     size_px: tuple[int, int], width: float, height: float | None, deg_per_px: float
 ) -> Lens:
-    """Return the field of view of the part of a panorama in a file."""
+    """Return the field of view of a file's part of a panorama."""
     kept_px = width if height is None else cropped_width(size_px, (width, height))
     fov_deg = kept_px * deg_per_px
     if fov_deg < MIN_FOV_DEG:

@@ -105,7 +105,7 @@ def find_skyline(photo: Photo, sky_model: Any = None) -> PhotoSkyline:
 
 
 def read_picture(path: str | Path) -> UInt8Array | None:
-    """Return the pixels of a photo; None for a trace or a mask.
+    """Return a photo's pixels; None for a trace or a mask.
 
     Pixels are (H, W, 3) uint8 RGB. Raises as `read_photo`.
     """

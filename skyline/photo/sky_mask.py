@@ -73,7 +73,7 @@ def skyline_of_mask(image: UInt8Array) -> PhotoSkyline:
 
 
 def _what_is_wrong(sky: Float64Array, row_px: Float64Array, first: IntArray) -> str:
-    """Return why a picture is not a sky mask; empty if it is one."""
+    """Return why a picture is not a sky mask, or ""."""
     drawn = np.isfinite(row_px)
     white = np.count_nonzero(sky >= _MASK.middle, axis=0)
     begins_black = sky[0] < _MASK.middle

@@ -42,7 +42,7 @@ class Lens:
 
     @property
     def in_words(self) -> str:
-        """The field of view and its source in one line; empty without a lens."""
+        """The field of view and its source in one line, or ""."""
         if not self.reason:
             return ""
         fov = "not known" if self.fov_deg is None else f"{self.fov_deg:.1f} degrees"

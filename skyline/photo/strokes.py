@@ -65,7 +65,7 @@ class Stroke:
             raise InputError(f"a brush has a radius of {self.radius_px:g} px; expected 0 or more")
 
     def in_crop(self, column: int, row: int) -> Self:
-        """Return the stroke in the pixels of a crop that begins at a pixel."""
+        """Return the stroke in a crop's pixels."""
         return replace(self, points_px=tuple((x - column, y - row) for x, y in self.points_px))
 
     def columns(self, width: int) -> IntArray:

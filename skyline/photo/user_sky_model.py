@@ -72,7 +72,7 @@ def model_skyline(image: UInt8Array, session: Any) -> PhotoSkyline:
 
 
 def _probability(photo: UInt8Array, session: Any) -> Float64Array:
-    """Return the sky's probability (h, w), in the size of the model's output."""
+    """Return the sky's probability (h, w) as the model's output has it."""
     inputs = session.get_inputs()
     if len(inputs) != 1 or len(inputs[0].shape) != 4:
         raise InputError(f"the sky model's inputs are {[i.shape for i in inputs]}; {_CONTRACT}")

@@ -134,7 +134,7 @@ class UnnamedPeaks:
 
     @property
     def counted(self) -> str:
-        """The number of missing names, as the end of a sentence; empty for none."""
+        """The number of missing names, to end a sentence, or ""."""
         words = ""
         if self.no_room:
             have = "peak has" if len(self.no_room) == 1 else "peaks have"
@@ -146,7 +146,7 @@ class UnnamedPeaks:
 
     @property
     def named(self) -> str:
-        """As `counted`, with the names that no font draws and font packages for them."""
+        """As `counted`, with undrawn names and font packages for them."""
         if not self.no_font:
             return self.counted
         packages = packages_with(undrawn_letters(self.no_font))

@@ -325,7 +325,7 @@ class ReliefTiles:
         antimeridian."""
 
     def contours_m(self, zoom: int) -> float | None:
-        """Return the interval of the contour lines at a zoom; None without lines.
+        """Return the contour lines' interval at a zoom; None without lines.
 
         Lines on a slope of 45 degrees lie at least five pixels apart.
         """

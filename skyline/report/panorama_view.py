@@ -39,7 +39,7 @@ _NOTHING_DEG = -90.0
 
 @dataclass(frozen=True, slots=True)
 class PanoramaConfig:
-    """The view that a panorama shows; by default the full turn from north.
+    """The view of a panorama; by default a full turn from north.
 
     Attributes
     ----------
@@ -124,7 +124,7 @@ def row_count(fov_deg: float) -> int:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Landscape:
-    """The terrain that one eye sees: P points in C columns of azimuth.
+    """The terrain that one eye sees: P points in C columns.
 
     The points of a column go outwards.
     """
@@ -203,7 +203,7 @@ class Landscape:
         return np.repeat(np.arange(len(self.azimuth_deg)), np.diff(self.begins))
 
     def seen(self, columns: slice, elevation_deg: Float64Array) -> Int64Array:
-        """Return which points (E, K) are seen at angles (E,) in K columns.
+        """Return the points (E, K) seen at angles (E,) in K columns.
 
         The index P stands for sky.
         """

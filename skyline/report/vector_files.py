@@ -1,4 +1,4 @@
-"""Writing shapes of photos on the map, and shapes of the map in photos."""
+"""Files of a photo's shapes on the map, and the reverse."""
 
 import json
 from collections.abc import Mapping, Sequence

@@ -149,7 +149,7 @@ def is_whole(store: Store) -> bool:
 
 
 def _whole_rows_of(store: Store, start: int, stop: int) -> tuple[Columns, Damage | None]:
-    """Return the rows that match their checksums, and the damage of the others."""
+    """Return the rows that match their checksums, and the others' damage."""
     columns = store.stored(slice(start, stop))
     same = row_checksums(columns) == columns[store.header.checksum]
     if same.all():

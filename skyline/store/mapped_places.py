@@ -167,7 +167,7 @@ class PlaceMap:
         return together.view(self._record)[:, 0]
 
     def _bytes_of(self, name: str, rows: IntArray) -> UInt8Array:
-        """Return the bytes (M, bytes of a row) of some rows of a dataset."""
+        """Return the bytes of some rows of a dataset, (M, row)."""
         chunk, row = np.divmod(rows, self._size)
         found: UInt8Array = self._rows[name][
             self._at[name][chunk] + row * self._types[name].itemsize

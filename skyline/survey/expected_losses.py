@@ -46,7 +46,7 @@ class LossLaw:
         return np.asarray(odds / (1.0 + odds), dtype=np.float64)
 
     def nearness(self, distance_m: Float32Array) -> Float64Array:
-        """Return the mean inverse distances (N, 36), 1 / m, of views round places."""
+        """Return views' mean inverse distances round places, (N, 36), 1 / m."""
         # The nearest stretches of a skyline move most, so the mean is one of nearness.
         known_m = np.nan_to_num(distance_m.astype(np.float64), nan=self.farthest_m)
         nearness = 1.0 / np.clip(known_m, self.nearest_m, self.farthest_m)
