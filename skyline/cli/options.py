@@ -1,7 +1,7 @@
 """Options that several commands have, and readers of their values.
 
-An option has one name and one meaning in all commands. Those that a script would repeat are also
-read from the environment: what is known of a photo is not, since it would hold for other photos.
+An option has one name and one meaning in all commands. Options that a script would repeat are also
+read from the environment, but not what is known of a photo, since it would hold for other photos.
 """
 
 from collections.abc import Callable, Sequence
@@ -64,7 +64,7 @@ StoreDem = Annotated[
     ),
 ]
 DEM_VARIABLE = "SKYLINE_DEM"
-"""The variable of the elevation files where a command names them by an option."""
+"""The environment variable for options that name elevation files."""
 Dem = Annotated[
     list[str],
     Option("--dem", metavar="DEM", help=DEM_ABOUT, envvar=DEM_VARIABLE),
@@ -158,7 +158,7 @@ SummitWithin = Annotated[
 def read_terrain(terminal: Terminal, dem: Sequence[str], crs: str | None) -> "HeightField":
     """Read the elevation model of a command.
 
-    If that takes long, a note names the step.
+    If this takes long, a note says so.
     """
     from skyline.terrain.dem import read_dem  # noqa: PLC0415  (slow to load)
     from skyline.terrain.provenance import DemOptions  # noqa: PLC0415  (slow to load)
@@ -168,7 +168,7 @@ def read_terrain(terminal: Terminal, dem: Sequence[str], crs: str | None) -> "He
 
 
 def curvature_of(terrain: "HeightField", refraction_k: float | None) -> Curvature:
-    """Return the curvature of a terrain's world, with another refraction if one is given."""
+    """Return the curvature of a terrain's world, with any given refraction."""
     usual = terrain.frame.curvature
     return usual if refraction_k is None else replace(usual, refraction_k=refraction_k)
 
@@ -199,7 +199,7 @@ def parse_bounds(text: str) -> "Bounds":
 
 
 def parse_position(text: str, option: str = "--at") -> tuple[float, float]:
-    """Return longitude and latitude from ``LON,LAT``; raises `InputError` for anything else."""
+    """Return longitude and latitude from ``LON,LAT``, or raise `InputError`."""
     error = f"{option} is `{text}`; expected LON,LAT in degrees (WGS 84), e.g. 9.84,46.80"
     lon, lat = numbers_in(text, 2, error)
     if not are_degrees(lon, lat):

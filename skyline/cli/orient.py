@@ -96,8 +96,8 @@ def orient(
 ) -> None:
     """Find how cameras were held at a known position.
 
-    The heading, pitch, roll and field of view of each camera are given. With --points they come
-    from points whose pixel and place are known, with the position.
+    The answer is the heading, pitch, roll and field of view of each camera. With --points it comes
+    from points whose pixel and place are known, and has the position, too.
     """
     terminal = Terminal.of(context, as_json)
     stood = CameraAt(

@@ -1,7 +1,4 @@
-"""Options that commands for photos share.
-
-They give what is known of a photo and of its camera.
-"""
+"""Options that commands for photos share: what is known of the camera."""
 
 import math
 from contextlib import suppress

@@ -67,7 +67,7 @@ def serve(
 
 
 def _split(named: Sequence[Path]) -> tuple[Sequence[Path], Sequence[Path]]:
-    """Return the stores, maybe none, and the photos of the command's arguments."""
+    """Return the stores, if any, and the photos of the arguments."""
     if not named:
         return (), ()
     stores, photos = split_stores(named[0], named[1:])

@@ -1,6 +1,6 @@
 """Eyes at positions that a person names, with notes.
 
-The notes say where the eyes stand, and what they cannot see.
+The notes say where the eyes stand, and which terrain is missing.
 """
 
 import logging
@@ -26,7 +26,7 @@ def stand_with_notes(
 ) -> Viewpoints:
     """Place eyes at longitudes and latitudes.
 
-    A note names each eye that stands on a summit. Parameters and errors as `stand_at`.
+    A note names each eye that stands on a summit. Parameters and errors are as in `stand_at`.
     """
     lon, lat = np.transpose(positions)
     eyes = stand_at(

@@ -1,6 +1,6 @@
-"""Messages of the page and the server in JSON.
+"""JSON messages between the page and the server.
 
-Requests are checked and converted, and answers are made. `NotedPose` and `Narrowing` check their
+This module checks and converts requests, and makes answers. `NotedPose` and `Narrowing` check their
 own numbers.
 """
 
@@ -35,7 +35,7 @@ _NARROWING = ("near", "heading_deg", "elevation_m", "eye_height_m")
 def number(asked: Mapping[str, Any], name: str) -> float:
     """Return a number of a request.
 
-    Raises `InputError` if it is no number, or out of range.
+    Raises `InputError` if it is not a number, or out of range.
     """
     value: Any = asked.get(name)
     low, high = _RANGES[name]
@@ -110,7 +110,7 @@ def outcome_json(result: MatchResult, ground: Ground) -> dict[str, Any]:
 
 
 def _candidate_json(candidate: Pose, ground: Ground) -> dict[str, Any]:
-    """Return a candidate's pose, and what the page shows beside it."""
+    """Return a candidate's pose, and what the page shows with it."""
     return {
         "pose": candidate.to_dict(),
         "rank": candidate.rank,
@@ -121,10 +121,7 @@ def _candidate_json(candidate: Pose, ground: Ground) -> dict[str, Any]:
 
 
 def _ellipse_json(candidate: Pose, frame: Frame) -> list[list[float]] | None:
-    """Return longitudes and latitudes along a candidate's ellipse.
-
-    None where the ellipse is not known.
-    """
+    """Return longitudes and latitudes along a candidate's ellipse, or None."""
     ellipse = Ellipse.of(candidate)
     if ellipse is None:
         return None
