@@ -137,7 +137,7 @@ def _names_on_input() -> list[Path]:
     if names[0] != "path" and os.path.lexists(names[0]):
         return list(map(Path, names))
     if is_table(STANDARD) and names[0] != "path" and not set(",;\t#") & set(names[0]):
-        raise InputError(f"standard input names {names[0][:80]}, which is no file; {expected}")
+        raise InputError(f"standard input names {names[0][:80]}, which is not a file; {expected}")
     return []
 
 

@@ -223,7 +223,7 @@ def _check_apart(seen: Sequence[_Seen]) -> None:
     if apart_deg[best] < _LEAST_ANGLE_SDS * error_deg[best]:
         raise InputError(
             f"the rays are parallel within their errors: {apart_deg[best]:.2f} degrees apart, give "
-            f"or take {error_deg[best]:.2f}; give photos from places farther aside"
+            f"or take {error_deg[best]:.2f}; give photos from places farther apart"
         )
 
 

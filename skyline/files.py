@@ -177,9 +177,9 @@ def names_in_words(names: Sequence[str]) -> str:
 
 def left_out_in_words(names: Sequence[str], expected: str) -> str:
     """Return a clause on a folder's files that are left out."""
-    one = len(names) == 1
-    number, verb = ("1 file", "is") if one else (f"{len(names)} files", "are")
-    return f"{number} {verb} left out, which {verb} no {expected}: {names_in_words(names)}"
+    if len(names) == 1:
+        return f"1 file is left out, which is not a {expected}: {names_in_words(names)}"
+    return f"{len(names)} files are left out, which are not {expected}: {names_in_words(names)}"
 
 
 def has_locks(path: Path) -> bool:

@@ -287,7 +287,7 @@ def _finite_pixels(column_px: ArrayLike, row_px: ArrayLike) -> tuple[Float64Arra
     column, row = (np.asarray(one, dtype=np.float64) for one in (column_px, row_px))
     if column.ndim != 1 or column.shape != row.shape:
         raise InputError(
-            f"columns are {column.shape} and rows {row.shape}; expected as many of each, (N,)"
+            f"columns are {column.shape} and rows {row.shape}; expected equally many, (N,)"
         )
     off = ~np.isfinite(column + row)
     if off.any():

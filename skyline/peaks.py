@@ -59,8 +59,8 @@ _FROM_RIGHT = ("R", "AL")
 """Bidirectional classes of letters that are written from right to left."""
 _log = logging.getLogger(__name__)
 _EXPECTED = (
-    "expected a gazetteer: columns `name,lon,lat` or `name,easting,northing`, maybe `height_m`, or "
-    "GeoJSON (.geojson, .json) of points in degrees with the property `name`"
+    "expected a gazetteer: columns `name,lon,lat` or `name,easting,northing`, and optionally "
+    "`height_m`, or GeoJSON (.geojson, .json) of points in degrees with the property `name`"
 )
 
 

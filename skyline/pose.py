@@ -366,8 +366,8 @@ def _covariance_in(record: Mapping[str, Any], source: str) -> tuple[tuple[float,
     )
     if not is_square or len(rows) not in _UNKNOWNS:
         raise InputError(
-            f"{source}: covariance is {str(rows)[:40]}; expected as many lists of as many numbers, "
-            f"{', '.join(map(str, _UNKNOWNS))}, or none"
+            f"{source}: covariance is {str(rows)[:40]}; expected a square matrix of "
+            f"{', '.join(map(str, _UNKNOWNS))} rows, as lists, or none"
         )
     return tuple(tuple(_number(value, "covariance", source) for value in row) for row in rows)
 

@@ -147,7 +147,7 @@ def _check_degrees(path: Path, shape: Shape) -> None:
         first = int(off.argmax())
         raise InputError(
             f"{path}, {shape.where} has the coordinates {lon[first]:g},{lat[first]:g}, which are "
-            "no degrees, and the file names no CRS; give --pixels if they are columns and rows of "
+            "not degrees, and the file names no CRS; give --pixels if they are columns and rows of "
             "the photo, else the CRS in the file's member `crs`"
         )
 
@@ -172,7 +172,7 @@ def _of_json(path: Path, photo: Path, in_pixels: bool) -> Vectors:
         raise InputError(
             f"{path} has a part that cannot be read ({printable(str(error))[:60]}); {EXPECTED}"
         ) from None
-    raise InputError(f"{path} is no file of vectors; {EXPECTED}")
+    raise InputError(f"{path} is not a file of vectors; {EXPECTED}")
 
 
 def _of_geojson(path: Path, read: Mapping[str, Any], in_pixels: bool) -> Vectors:
@@ -226,7 +226,7 @@ def _ring(given: Sequence[Sequence[float]], kind: str = LINE) -> Float64Array:
     """Return vertices (V, 2), without the last if it closes a polygon."""
     ring = np.array([one[:2] for one in given], dtype=np.float64).reshape(-1, 2)
     if not np.isfinite(ring).all():
-        raise ValueError("a coordinate is no number")
+        raise ValueError("a coordinate is not a number")
     is_closed = kind == POLYGON and len(ring) > 1 and np.array_equal(ring[0], ring[-1])
     return ring[:-1] if is_closed else ring
 

@@ -62,8 +62,8 @@ def horizon(
         Path | None,
         Option(
             metavar="PHOTO",
-            help="Take the horizon that a photo shows, trees and houses included, where it shows "
-            "one; with --pose, in place of a position.",
+            help="Use the horizon of this photo, trees and houses included, where it shows one; "
+            "with --pose, in place of a position.",
         ),
     ] = None,
     pose: Annotated[Path | None, POSE] = None,

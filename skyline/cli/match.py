@@ -103,7 +103,8 @@ def match(
         bool,
         Option(
             "--split",
-            help="With --workers: all workers search for each photo, each in a part of the places.",
+            help="With --workers: all workers search for each photo, each in its own part of "
+            "the places.",
         ),
     ] = False,
 ) -> None:

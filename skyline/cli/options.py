@@ -150,7 +150,7 @@ SummitWithin = Annotated[
         "--summit-within",
         metavar="M",
         help="Stand on the highest point within M metres; 0 stays where --at is. By default an eye "
-        "keeps its position and, beside a summit of the model, stands as high as the summit.",
+        "keeps its position and, beside a summit of the model, is lifted to the summit's height.",
     ),
 ]
 

@@ -138,7 +138,7 @@ def orient(
 def _only_one(photos: list[Path]) -> Path:
     """Return the photo of control points; raises `InputError` for several."""
     if len(photos) != 1:
-        raise InputError(f"--points is of one photo, and {len(photos)} are given; give one")
+        raise InputError(f"--points takes one photo, and {len(photos)} are given; give one")
     return photos[0]
 
 

@@ -50,7 +50,10 @@ _errors = panel("Errors")
 PixelSd = Annotated[
     float,
     _errors(
-        "--pixel-sd", min=0.0, metavar="PX", help="Standard deviation of a drawn column and row."
+        "--pixel-sd",
+        min=0.0,
+        metavar="PX",
+        help="Standard deviation of a drawn column and row.",
     ),
 ]
 HeightSd = Annotated[
@@ -119,7 +122,7 @@ ProbabilityMap = Annotated[
     files_to_write(
         "--probability",
         metavar="FILE",
-        help="Write how probable each place of the searched area is, with an answer or without "
+        help="Write the probability of each place in the searched area, with or without an answer "
         f"({', '.join(POSTERIOR_FILES)}): a GeoTIFF, or outlines of 50, 80 and 95 %; may be "
         "repeated.",
     ),

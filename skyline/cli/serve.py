@@ -40,7 +40,7 @@ def serve(
         str,
         Option(
             metavar="ADDRESS",
-            help="Address to listen on; 0.0.0.0 or :: lets other machines in, by all addresses of "
+            help="Address to listen on; 0.0.0.0 or :: lets other machines in by any address of "
             "this machine.",
         ),
     ] = "127.0.0.1",

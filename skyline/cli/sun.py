@@ -43,8 +43,8 @@ def sun(
         str | None,
         Option(
             metavar="LON,LAT",
-            help="A summit: print where to stand, around the position, for sun and moon to be over "
-            "it.",
+            help="A summit: print where to stand, around the position, to see the sun or the moon "
+            "over it.",
         ),
     ] = None,
     within: Annotated[

@@ -43,7 +43,7 @@ def when(
         Option(
             metavar="TIP,FOOT[,TOP]",
             help="A shadow of something upright: column and row of the shadow's tip, of the foot "
-            "of what casts it, and maybe of its top.",
+            "of what casts it, and, if known, of its top.",
         ),
     ] = None,
     as_json: AsJson = False,

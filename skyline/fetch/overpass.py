@@ -127,8 +127,8 @@ def _feature(
     inside = lats[0] <= lat <= lats[1] and any(west <= lon <= east for west, east in spans)
     if not inside or not isinstance(name, str):
         raise FetchError(
-            f"{without_secrets(server)}: the answer has {str(element)[:80]!r}, which is no named "
-            "peak in the bounds; nothing was written"
+            f"{without_secrets(server)}: the answer has {str(element)[:80]!r}, which is not a "
+            "named peak in the bounds; nothing was written"
         )
     properties = {"name": printable(name)}
     if height is not None:

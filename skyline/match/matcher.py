@@ -127,7 +127,7 @@ class Matcher(Closeable):
         method: type[SearchMethod] = load(MATCHERS, matcher)
         self._config = MatchConfig() if config is None else _instance("config", config, MatchConfig)
         if surface is not None and not (method.renders and self._config.refine):
-            raise InputError("a surface acts in refinement; use the full matcher, and refine")
+            raise InputError("a surface is used in refinement; use the full matcher, and refine")
         self.render_thread = render_thread
         groups = by_model(paths_of(store))
         if len(groups) > 1 and not (dem is None and surface is None):
@@ -142,7 +142,7 @@ class Matcher(Closeable):
             self.close()
         self.areas = tuple(area for area, _ in opened)
         if any(area.frame.lonlat_crs != self.crs for area in self.areas):
-            raise InputError("the stores are of several worlds; name those of one")
+            raise InputError("the stores are of several worlds; name stores of one")
         self.rows = sum(area.rows for area in self.areas)
         self.holds = method.holds
         methods = [one for _, one in opened]

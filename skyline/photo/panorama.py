@@ -37,7 +37,7 @@ def panorama_of_xmp(xmp: Xmp, size_px: tuple[int, int]) -> tuple[Projection, Len
     and at most the largest part of its shape.
     """
     if _NAMES_PANORAMA.search(xmp.broken):
-        reason = "XMP speaks of a panorama, and is damaged: its projection is not known"
+        reason = "XMP mentions a panorama, but is damaged: its projection is not known"
         return Projection.PERSPECTIVE, Lens(reason=reason)
     tags = xmp.of(GPANO)
     width, turn, height = (

@@ -65,7 +65,7 @@ def skyline_of_mask(image: UInt8Array) -> PhotoSkyline:
     wrong = _what_is_wrong(sky, row_px, first)
     if wrong:
         raise InputError(
-            "no skyline found: the picture is black and white alone, as a sky mask is, and has "
+            "no skyline found: the picture is only black and white, as a sky mask is, and has "
             f"{wrong}; expected white for the sky, black for the ground, and no frame"
         )
     trust = np.isfinite(row_px).astype(np.float64)

@@ -186,7 +186,7 @@ def _read_csv(path: Path) -> list[_Known]:
     whole = held[: held.rfind(b"\n") + 1] or header
     rows = csv.DictReader(io.StringIO(whole.decode()), restkey=_SURPLUS, restval="")
     if rows.fieldnames != list(_COLUMN_TYPES) or not (b"\n" in held or header.startswith(held)):
-        raise InputError(f"--results {path} is no file of results; name another one")
+        raise InputError(f"--results {path} is not a file of results; name another one")
     if whole != held:
         path.write_bytes(whole)
     known: list[_Known] = []

@@ -94,8 +94,8 @@ def _check_kind(task: DrawTask, vectors: Vectors, suffix: str) -> None:
         whose, goes = ("photo", "onto the map") if vectors.in_pixels else ("map", "into the photo")
         other = "" if vectors.in_pixels else ", or give --pixels if they are of the photo"
         raise InputError(
-            f"{task.vectors} has vectors of the {whose}, which go {goes}, and {task.output} is no "
-            f"such file; name a file with the suffix {', '.join(known)}{other}"
+            f"{task.vectors} has vectors of the {whose}, which go {goes}, but {task.output} is "
+            f"another kind of file; name a file with the suffix {', '.join(known)}{other}"
         )
 
 

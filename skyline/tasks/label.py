@@ -86,7 +86,7 @@ def label_photo(task: LabelTask, listener: Listener) -> list[str]:
         )
     if task.peaks is None and task.time is None:
         raise InputError(
-            "nothing is to be named; give the summits as --peaks FILE, or the photo's --time for "
+            "there is nothing to name; give the summits as --peaks FILE, or the photo's --time for "
             "the sun and the moon"
         )
     check_outputs([task.output], [task.photo, *filter(None, [task.pose, task.peaks])])
@@ -150,8 +150,8 @@ def _camera_of(
         found = orienter.orient(photo, name=str(task.photo), heading_deg=task.at.heading_deg)
     if found.likely is None:
         raise InputError(
-            f"{task.photo}: the camera's direction is not sure ({found.refusal}); say about where "
-            "it looked with --heading and --heading-slack, or its pose with --pose"
+            f"{task.photo}: the camera's direction is not sure ({found.refusal}); say roughly "
+            "where it looked with --heading and --heading-slack, or its pose with --pose"
         )
     for line in found.to_text().splitlines():
         listener.note(line)

@@ -130,7 +130,7 @@ class MatchTask:
             (not self.entries, f"{names_stores} are stores; name photos to find in them"),
             (
                 self.common.narrowing.use_gps and self.matcher == UNREFINED,
-                f"--use-gps acts in refinement; {no_refinement}",
+                f"--use-gps works in refinement; {no_refinement}",
             ),
             (
                 self.same_place and self.matcher != FULL,
@@ -147,8 +147,7 @@ class MatchTask:
             ),
             (
                 self.probability and self.matcher not in (FULL, UNREFINED),
-                f"--probability takes what the full matcher knows; leave --matcher {self.matcher} "
-                "out",
+                f"--probability needs the full matcher; leave --matcher {self.matcher} out",
             ),
         ):
             if is_wrong:

@@ -45,9 +45,9 @@ def stand_with_notes(
             )
         elif summit_within_m is None and stands_m[k] - surface_m[k] > 0.01:
             listener.note(
-                f"{position} is beside a summit of the model: the eye stands as high as it, "
-                f"{stands_m[k]:.0f} m, and not on its slope, {surface_m[k]:.0f} m (as "
-                "--summit-within 0 would have it)"
+                f"{position} is beside a summit of the model: the eye is lifted to its height, "
+                f"{stands_m[k]:.0f} m, from its slope at {surface_m[k]:.0f} m (--summit-within 0 "
+                "leaves it there)"
             )
     return eyes
 

@@ -108,7 +108,7 @@ def _members(file: Path) -> list[str]:
         with ZipFile(file) as archive:
             members = sorted(one.filename for one in archive.infolist() if not one.is_dir())
     except (OSError, BadZipFile) as error:
-        raise InputError(f"{file} is no zip archive ({error}); fetch it again") from error
+        raise InputError(f"{file} is not a zip archive ({error}); fetch it again") from error
     return [
         member_name(file, one)
         for one in members

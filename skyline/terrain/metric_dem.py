@@ -116,8 +116,8 @@ def _centre(mosaic: "Mosaic") -> tuple[float, float, str]:
     lon, lat, accuracy = to_wgs84(crs, x, y)
     if not (abs(lat) <= 90.0 and abs(lon) <= 540.0):
         raise InputError(
-            f"{mosaic.source} has its middle at {x:.9g}, {y:.9g}, which is no place in {crs.name}; "
-            "check its georeference and its coordinate reference system"
+            f"{mosaic.source} has its middle at {x:.9g}, {y:.9g}, which is not a place in "
+            f"{crs.name}; check its georeference and its coordinate reference system"
         )
     if off_area_deg(crs, lon, lat) > FAR_DEG:
         _log.warning(

@@ -108,9 +108,7 @@ def stand_on(
     refuse_text(summit_within_m=summit_within_m)
     given = easting, northing
     if summit_within_m is not None and not 0.0 <= summit_within_m <= 10_000.0:
-        raise InputError(
-            f"summits are looked for within {summit_within_m:g} m; expected 0 to 10000"
-        )
+        raise InputError(f"summits are searched within {summit_within_m:g} m; expected 0 to 10000")
     if summit_within_m:
         highest = [
             highest_within(field, *position, summit_within_m)

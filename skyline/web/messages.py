@@ -48,7 +48,7 @@ def number(asked: Mapping[str, Any], name: str) -> float:
 def strokes_of(asked: Any) -> list[Stroke]:
     """Return the strokes of a request."""
     if not isinstance(asked, list):
-        raise InputError("the strokes are no list; reload the page")
+        raise InputError("the strokes are not a list; reload the page")
     strokes = []
     for one in asked:
         if not isinstance(one, Mapping) or one.get("kind") not in list(StrokeKind):
@@ -57,7 +57,7 @@ def strokes_of(asked: Any) -> list[Stroke]:
         if not isinstance(points, list) or any(
             not isinstance(point, list) or len(point) != 2 for point in points
         ):
-            raise InputError("the points of a stroke are no list of pairs of a column and a row")
+            raise InputError("the points of a stroke are not a list of pairs of a column and a row")
         pairs = [dict(zip(("column", "row"), point, strict=True)) for point in points]
         places = tuple((number(pair, "column"), number(pair, "row")) for pair in pairs)
         strokes.append(Stroke(StrokeKind(one["kind"]), places, number(one, "radius")))
@@ -68,7 +68,7 @@ def known_of(asked: Mapping[str, Any]) -> Mapping[str, Any]:
     """Return the user's knowledge of the pose from a request."""
     known = asked.get("known", {})
     if not isinstance(known, Mapping):
-        raise InputError("what is known is no JSON object; reload the page")
+        raise InputError("what is known is not a JSON object; reload the page")
     return known
 
 
