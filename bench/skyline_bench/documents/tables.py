@@ -1,4 +1,4 @@
-"""The tables of README and docs/, each made from the records."""
+"""The tables of README and docs/, made from the records."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
@@ -132,7 +132,7 @@ def adaptive(results: Results) -> Table:
     """Return a row for each adaptive store, held to uniform grids.
 
     The share of a uniform grid of as many renderings is interpolated between the grids that were
-    searched. The two tie where that share is within the adaptive store's interval of 95 %.
+    searched. The two tie if that share is within the adaptive store's 95 % interval.
     """
     table = Table()
     for terrain, planner, record in COMPARED:
@@ -659,7 +659,7 @@ TABLES: Mapping[str, Callable[[Results], Table]] = {
         made_photos, names_and_pixels, summits, on_a_summit, masks, large_area, opening,
     )
 }  # fmt: skip
-"""Tables by the names that pages have them under."""
+"""Tables by the names that pages have for them."""
 
 
 def markdown(table: Sequence[Mapping[str, Any]]) -> str:
