@@ -72,7 +72,7 @@ class PlanConfig:
                 raise InputError(f"{name} is {value}{unit}; expected a number above 0{limit}")
         if abs(self.coarse_m / self.site_spacing_m - self.stride) > 1e-9 * self.stride:
             raise InputError(
-                f"coarse spacing is {self.coarse_m} m, no whole multiple of the site spacing of "
+                f"coarse spacing is {self.coarse_m} m, not a whole multiple of the site spacing of "
                 f"{self.site_spacing_m} m; choose one that is, for example "
                 f"{self.stride * self.site_spacing_m} m"
             )

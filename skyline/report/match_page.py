@@ -124,14 +124,14 @@ def _about(viewer: Viewer | None) -> str:
     """Return sentences on the elevation model and the names of peaks."""
     if viewer is None:
         return (
-            "There was no elevation model at hand: the maps have no relief, no skyline could be "
+            "There was no elevation model, so the maps have no relief, no skyline could be "
             "rendered for the candidates and no peak is named (give --dem)."
         )
     if viewer.peaks is None:
         return "No file of peaks was given, so no peak is named (--peaks FILE)."
     return (
         f"Of {len(viewer.peaks)} peaks given, the ones that the camera sees are named: "
-        "nothing on the line to them stands above them in the elevation model."
+        "no terrain of the elevation model hides them."
     )
 
 

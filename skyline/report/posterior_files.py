@@ -108,7 +108,7 @@ def _kml(features: Sequence[Json]) -> bytes:
         percent = f"{about['share'] * 100:.0f}"
         mark = Xml.SubElement(document, "Placemark")
         Xml.SubElement(mark, "name").text = f"{Path(about['photo']).name}: {percent} %"
-        text = f"Taken in here with a probability of {percent} %; {about['area_km2']:.3g} km²"
+        text = f"Taken in this area with a probability of {percent} %; {about['area_km2']:.3g} km²"
         Xml.SubElement(mark, "description").text = text
         Xml.SubElement(mark, "styleUrl").text = f"#held{percent}"
         shapes = Xml.SubElement(mark, "MultiGeometry")

@@ -155,7 +155,7 @@ def _whole_rows_of(store: Store, start: int, stop: int) -> tuple[Columns, Damage
     if same.all():
         return columns, None
     wrong = start + np.flatnonzero(~same)
-    what = f"{len(wrong)} rows from {wrong[0]} on do not have their checksums"
+    what = f"{len(wrong)} rows from {wrong[0]} on do not match their checksums"
     whole = {name: values[same] for name, values in columns.items()}
     return whole, Damage(what, int(wrong[0]), len(wrong))
 

@@ -160,7 +160,7 @@ class PlaceMap:
         wrong = checksums_of_bytes(together) != bytes_of[-1].view("<u4")[:, 0]
         if wrong.any():
             raise StoreError(
-                f"store {self._path} is damaged: place {rows[wrong][0]} does not have its "
+                f"store {self._path} is damaged: place {rows[wrong][0]} does not match its "
                 "checksum; `skyline store check` lists all damage, `skyline store repair` "
                 "saves the whole rows"
             )

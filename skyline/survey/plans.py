@@ -311,7 +311,7 @@ def _area_to_build(field: HeightField, bounds_deg: Bounds | None) -> Rectangle:
         # than the DEM.
         if share < 0.9:
             _log.warning(
-                "the DEM covers %.0f %% of the bounds, and the store will have that part alone; "
+                "the DEM covers %.0f %% of the bounds, and the store will have only that part; "
                 "give a DEM of all of them",
                 100.0 * share,
             )
