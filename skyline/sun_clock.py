@@ -2,9 +2,9 @@
 
 A pixel of the sun's or the moon's disc gives a direction. A shadow's tip and foot give an azimuth:
 whatever stands upright casts its shadow away from the sun, however tall it is and whatever the
-ground's slope. The top of what casts the shadow gives the elevation, too. The direction's errors
-follow from those of the pose, of the pixels and of the ground's heights, and the sun's path on that
-day turns them into the errors of a time.
+ground's slope. The top of what casts the shadow gives the elevation, too. The errors of the
+direction follow from the pose, the pixels and the ground's heights, and the sun's path on that day
+turns them into the error of a time.
 """
 
 import math

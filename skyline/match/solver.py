@@ -92,8 +92,8 @@ class SolverPriors:
     """Standard deviation with which a step of the attitude, and of the field of view's logarithm,
     is damped."""
     upward: float = 0.25
-    """Standard deviation with which a step of the eye's height is damped, as a share of that of its
-    place."""
+    """Standard deviation with which a step of the eye's height is damped, as a share of the one for
+    its place."""
 
 
 _PRIORS = SolverPriors()

@@ -55,7 +55,7 @@ class LabelTask:
     fov_deg: float | None = None
     """By default from the photo."""
     projection: Projection | None = None
-    """By default that of the pose, else of the photo."""
+    """By default from the pose, else from the photo."""
     ridges: bool = False
     """Whether the skyline of the elevation model is drawn, too."""
     time: datetime | None = None

@@ -32,7 +32,7 @@ class PixelsTask:
     step: int = 1
     """Distance of the rows and columns that are taken."""
     projection: Projection | None = None
-    """By default that of the pose, else of the photo."""
+    """By default from the pose, else from the photo."""
 
 
 def place_pixels(task: PixelsTask, listener: Listener) -> PixelPlaces:
