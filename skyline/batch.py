@@ -34,7 +34,7 @@ _TOGETHER = {
     "heading_deg": ("heading_deg", "heading_slack_deg"),
     "elevation_m": ("lowest_m", "highest_m"),
 }
-"""Columns of each field of a narrowing; a row fills either all columns of a field or none."""
+"""The columns of each field of a narrowing; a row fills all columns of a field or none."""
 
 _NUMBERS = ("fov_deg", "fov_sd_share", "eye_height_m", *chain.from_iterable(_TOGETHER.values()))
 
@@ -140,10 +140,10 @@ def _files_in(paths: Iterable[Path]) -> Iterator[Path]:
 
 
 def _names_on_input() -> list[Path]:
-    """Return the names of files on standard input, one a line, as `find` prints them.
+    """Return the names of files on standard input, as `find` prints them.
 
-    There are none in a photo, a list and a trace. Raises `InputError` for empty input, and for
-    names that begin with one of no file.
+    A photo, a list or a trace has none. Raises `InputError` for empty input, and if the first name
+    is not that of a file.
     """
     expected = "expected a photo, or names of files, one a line, a list or a trace"
     lines = os.fsdecode(read_bytes(STANDARD, expected)).split("\n")
@@ -154,12 +154,12 @@ def _names_on_input() -> list[Path]:
     if names[0] != "path" and os.path.lexists(names[0]):
         return list(map(Path, names))
     if is_table(STANDARD) and names[0] != "path" and not set(",;\t#") & set(names[0]):
-        raise InputError(f"standard input names {names[0][:80]}, which is no file; {expected}")
+        raise InputError(f"standard input names {names[0][:80]}, which is not a file; {expected}")
     return []
 
 
 def _expanded(path: Path) -> Iterator[Path]:
-    """Yield a path, or the files for which a folder or a wildcard stands."""
+    """Yield a path, or the files of a folder or wildcard."""
     if path.is_dir():
         pictures = photos_in(path, lambda folder: is_own_page(folder / REPORT_PAGE))
         yield from sorted(pictures, key=_in_order)
@@ -233,7 +233,7 @@ def match_here(matcher: Matcher, entries: Iterable[Entry]) -> Iterator[MatchResu
 def match_many(
     runner: Runner, matcher: tuple[Hashable, ...], entries: Sequence[Entry]
 ) -> Iterator[MatchResult | SkylineError]:
-    """Match photos on workers; yields results in order, as soon as possible.
+    """Match photos on workers; yield results in order, as soon as possible.
 
     A photo that cannot be matched yields its error; the others are still matched. ``matcher`` are
     the arguments of `Matcher`, in order: the store's path first, or the paths of several. Workers

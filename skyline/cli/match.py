@@ -142,6 +142,6 @@ def match(
 
 
 def _is_asked(context: typer.Context, name: str) -> bool:
-    """Return whether an option is given by its name, and not by the environment alone."""
+    """Return whether an option is given on the command line."""
     source = context.get_parameter_source(name)
     return source is not None and source.name != "ENVIRONMENT"

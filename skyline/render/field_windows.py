@@ -34,10 +34,10 @@ SLOPE_BINS = 16
 """Bins of rays' slopes, from the steepest left to the steepest right; each has its own bounds."""
 
 EMPTY = np.float32(-3e38)
-"""The height of a hole, and of what lies off the map."""
+"""The height of holes, and of everything off the map."""
 
 _COLUMN_APRON = 4
-"""Empty columns beside the samples; COLUMN_APRON of the shader."""
+"""Empty columns beside the samples; the shader's COLUMN_APRON."""
 
 _TREES_AT_ONCE = 2
 """Threads that build trees: NumPy lets them run side by side, and each takes its memory."""
@@ -45,7 +45,7 @@ _TREES_AT_ONCE = 2
 
 @dataclass(frozen=True, slots=True)
 class GpuLimits:
-    """How much of the GPU's memory a renderer of columns takes."""
+    """How much GPU memory a column renderer takes."""
 
     field_cells: int = 5120
     """Cells along a side of the largest field that is one window: its textures take some 0.9 GB."""
@@ -237,7 +237,7 @@ class WindowTextures:
 class _Atlas:
     """One array of texels for the levels of two or four trees.
 
-    If there are two, each serves both headings of an axis. Four stand in two stacks side by side,
+    Of two trees, each serves both headings of an axis. Four stand in two stacks side by side,
     because one stack of four would be higher than a texture may be. A ray that leaves its own tree
     may meet the next one: superfluous marks and bounds cost time, but change no skyline.
     """
@@ -330,8 +330,8 @@ def _columns(ctx: moderngl.Context, heights: Float32Array) -> moderngl.Texture:
 def _pitch(columns: int) -> int:
     """Return the width of a texture for some columns.
 
-    It is 16 texels, an odd number of times. It is no power of two, at which neighbouring rows would
-    share lines of the cache.
+    It is an odd multiple of 16 texels: at a power of two, neighbouring rows would share cache
+    lines.
     """
     return (-(-columns // 16) | 1) * 16
 
@@ -339,8 +339,8 @@ def _pitch(columns: int) -> int:
 def _upload(ctx: moderngl.Context, values: NDArray[Any], dtype: str) -> moderngl.Texture:
     """Upload texels (rows, columns, components).
 
-    Columns are filled up to a `_pitch`. Raises `ContextError` where OpenGL refuses the texture,
-    which would read as zeros.
+    Columns are padded to a `_pitch`. Raises `ContextError` if OpenGL refuses the texture, which
+    would then read as zeros.
     """
     lines, columns, components = values.shape
     if missing := _pitch(columns) - columns:

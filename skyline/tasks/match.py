@@ -1,7 +1,7 @@
 """Matching photos, showing their results and writing them to files.
 
-Results are shown as they come; the files have all of them. A search that was stopped goes on if it
-has a file of results.
+Results are shown as they come; the files have all of them. A search that was stopped continues if
+it has a file of results.
 """
 
 import math
@@ -47,7 +47,7 @@ from skyline.tasks.listener import Listener
 from skyline.terrain.dem_files import dem_names
 
 PAGE_PORT = 8765
-"""Port at which `skyline serve` serves its page by default."""
+"""The default port of `skyline serve`."""
 UNREFINED = "unrefined"
 """The full matcher without its last step."""
 
@@ -55,7 +55,7 @@ T = TypeVar("T")
 
 
 def matcher_names() -> list[str]:
-    """Return the names of all matchers, those of other packages too."""
+    """Return the names of all matchers, including those of other packages."""
     return [*names_of(MATCHERS), UNREFINED]
 
 
@@ -64,7 +64,7 @@ class MatchTask:
     """Photos to find, stores to search, and files to write."""
 
     stores: tuple[Path, ...]
-    """They are searched as one."""
+    """Stores that are searched as one."""
     entries: Sequence[Entry]
     """The photos."""
     common: Entry = Entry("")  # noqa: RUF009  (it is frozen)
@@ -74,7 +74,8 @@ class MatchTask:
     matcher: str = FULL
     """``unrefined``, or as for `Matcher`."""
     dem: Sequence[str] = ()
-    """Elevation files of the stores, or folders of them; by default those that they name."""
+    """Elevation files of the stores, or folders of them; by default the files that the stores
+    name."""
     surface: Sequence[str] = ()
     """Files of a surface or canopy model, or folders of them."""
     same_place: bool = False
@@ -99,7 +100,7 @@ class MatchTask:
 
     @property
     def others(self) -> list[Path]:
-        """Files that need all results, and not only rows."""
+        """Files that need whole results, not only rows."""
         return [*self.exports, *self.probability, *filter(None, [self.report])]
 
     @property
@@ -114,7 +115,7 @@ class MatchTask:
     def search(self) -> str:
         """Return a digest of the stores and the options.
 
-        It differs between searches that may have different answers.
+        It differs between searches that may give different answers.
         """
         surfaces = dem_names(self.surface)
         files = [(Path(one).name, *_written(one)) for one in (*map(str, self.stores), *surfaces)]
@@ -123,7 +124,7 @@ class MatchTask:
     def check(self) -> None:
         """Check the options and the outputs.
 
-        Raises `InputError` for options that do not suit each other, and for wrong outputs.
+        Raises `InputError` for options that contradict each other, and for wrong outputs.
         """
         entry_named("matcher", self.matcher, dict.fromkeys(matcher_names()))
         names_stores = ", ".join(map(str, self.stores))
@@ -132,7 +133,7 @@ class MatchTask:
             (not self.entries, f"{names_stores} are stores; name photos to find in them"),
             (
                 self.common.narrowing.use_gps and self.matcher == UNREFINED,
-                f"--use-gps acts in refinement; {no_refinement}",
+                f"--use-gps works in refinement; {no_refinement}",
             ),
             (
                 self.same_place and self.matcher != FULL,
@@ -148,8 +149,7 @@ class MatchTask:
             ),
             (
                 self.probability and self.matcher not in (FULL, UNREFINED),
-                f"--probability takes what the full matcher knows; leave --matcher {self.matcher} "
-                "out",
+                f"--probability needs the full matcher; leave --matcher {self.matcher} out",
             ),
             (
                 self.walked_km_h is not None
@@ -169,7 +169,7 @@ class MatchTask:
     def check_files(self) -> None:
         """Check the outputs.
 
-        Raises `InputError` for outputs that would replace inputs, or whose kind is not known.
+        Raises `InputError` for outputs that would replace inputs, or whose kind is unknown.
         """
         named = [Path(one.path) for one in self.entries]
         inputs = [*self.stores, *self.inputs, *named, *filter(None, [self.peaks])]
@@ -216,9 +216,9 @@ def split_stores(first: Path, others: Sequence[Path]) -> tuple[tuple[Path, ...],
 def match_photos(task: MatchTask, listener: Listener) -> int:
     """Match photos, show each result as it comes, and write the files.
 
-    Returns the exit code of the last error, or 0. Raises `InputError` as `MatchTask.check`, for a
-    gazetteer or a DEM that cannot be read, and `StoreError` for such a store; the errors of a photo
-    are shown, and do not end the others.
+    Returns the exit code of the last error, or 0. Raises `InputError` as `MatchTask.check`, and for
+    a gazetteer or a DEM that cannot be read, and `StoreError` for a store that cannot be read; the
+    error of a photo is shown, and does not stop the others.
     """
     task.check()
     with (
@@ -246,7 +246,7 @@ class _Run:
         self.exit_code = 0
 
     def match(self) -> None:
-        """Match the photos that were not matched before, and write the files."""
+        """Match the photos without results, and write the files."""
         task = self._task
         known = self._matched_before()
         # These checks come before the store is opened, which may take a minute.
@@ -326,7 +326,7 @@ class _Run:
     def _attempted(
         self, doing: str, entries: Sequence[Entry], attempt: Callable[[Entry], T]
     ) -> tuple[list[tuple[Entry, T]], dict[Entry, SkylineError]]:
-        """Attempt something with photos; return the results and the errors.
+        """Try something with photos; return the results and the errors.
 
         Errors are also shown at once.
         """
@@ -360,8 +360,8 @@ class _Run:
     def _opened(self) -> Matcher:
         """Open the matcher.
 
-        Raises `InputError` if a file of results would keep answers that lack refinement, and for
-        the report of stores of several DEMs.
+        Raises `InputError` if a file of results would keep unrefined answers, and for a report on
+        stores of several DEMs.
         """
         task = self._task
         started = time.perf_counter()
@@ -460,7 +460,7 @@ class _Run:
     def _show(self, record: Mapping[str, object], text: str) -> None:
         """Show a result.
 
-        If nobody reads it, the task goes on only where files are written.
+        If nobody reads it, the task goes on only if files are written.
         """
         try:
             self._listener.result(record, text)
@@ -540,7 +540,7 @@ def _photo_of(entry: Entry) -> str:
 def _written(path: str | Path) -> tuple[object, ...]:
     """Return a file's size and time of modification.
 
-    Of standard input a digest is returned. The path is left out, since files may move.
+    For standard input it is a digest. The path is left out, since files may move.
     """
     if str(path) == STANDARD:
         return (digest_of(read_bytes(path, EXPECTED)),)

@@ -1,4 +1,4 @@
-"""The tables of README and docs/, each made from the records."""
+"""The tables of README and docs/, made from the records."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
@@ -700,7 +700,7 @@ TABLES: Mapping[str, Callable[[Results], Table]] = {
         opening,
     )
 }  # fmt: skip
-"""Tables by the names that pages have them under."""
+"""Tables by the names that pages have for them."""
 
 
 def markdown(table: Sequence[Mapping[str, Any]]) -> str:
