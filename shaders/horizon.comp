@@ -36,9 +36,9 @@ layout(std430, binding = 1) buffer Tans { float elevation_tan[]; };
 layout(std430, binding = 2) buffer Depths { float depth_m[]; };
 layout(std430, binding = 3) buffer Flags { uint flags[]; };
 
-uniform sampler2D heights_m;      // the window's samples with an apron of one; holes HOLE_M
+uniform usampler2D present;       // 1 where there is a sample, with those next to the window
 uniform usampler2D slabs;         // the tree of heights: eight codes of 16 bits a texel
-uniform sampler2D columns_m;      // the samples again: a texel is a leaf's three of one column
+uniform sampler2D columns_m;      // the samples: a texel is a leaf's three of one column
 uniform ivec2 columns_end;        // its last texel
 uniform ivec2 samples;            // columns, rows of the window
 uniform vec2 spacing_m;           // east, north
@@ -58,7 +58,6 @@ uniform int width;
 uniform int run;                  // columns a lane takes
 uniform int first_eye;
 
-const float HOLE_M = -3e38;
 const float NOTHING = -1e30;
 const float DATA = -1e15;         // below every v there is, above every crossing with a hole
 const float STRIP_SLACK = 1e-5;   // more than rounding of a distance, relative
@@ -141,9 +140,9 @@ bool strips(out int s_first, out int s_last) {
     return meets;
 }
 
-float height_at(int p, int w) {
+bool sample_there(int p, int w) {
     ivec2 at = ALONG_COLUMNS ? ivec2(SIGN * p, iw + w) : ivec2(iw + w, SIGN * p);
-    return texelFetch(heights_m, clamp(at, ivec2(-1), samples) + 1, 0).x;
+    return texelFetch(present, clamp(at, ivec2(-1), samples) + 1, 0).x != 0u;
 }
 
 // The third sample of the triangle beyond an edge crossed in strip s, or before it, seen from the
@@ -157,14 +156,14 @@ bool triangle_there(int s, int line, int family, bool beyond) {
     int w = family == 0 ? line + (beyond == FORWARD ? 1 : 0)
           : family == 1 ? line + (right ? 1 : -1)
           : line + (grows ? 1 : 0);
-    return height_at(p, w) > NOTHING;
+    return sample_there(p, w);
 }
 
 // Whether both samples of an edge are there; a crossing at one of them does not show the other.
 bool edge_there(int s, int line, int family) {
     ivec2 near = ivec2(family == 0 ? s + 1 : s, line + (family == 2 && !FORWARD ? 1 : 0));
     ivec2 far = ivec2(s + 1, line + (family == 0 || (family == 2 && FORWARD) ? 1 : 0));
-    return min(height_at(near.x, near.y), height_at(far.x, far.y)) > NOTHING;
+    return sample_there(near.x, near.y) && sample_there(far.x, far.y);
 }
 
 // The three samples of column w on the lines of a leaf's strips, s and s + 1, relative to the eye.

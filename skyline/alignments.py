@@ -77,7 +77,7 @@ def standpoints(
     eye_height_m: float,
     curvature: Curvature,
 ) -> list[Standpoint]:
-    """Return where a body stands over a summit, minute by minute of a day.
+    """Return where a body stands over a summit, minute by minute.
 
     The summit is the highest sample near a longitude and latitude. Ground nearer than 150 m to it
     hides nothing, as for `skyline.peaks`. The day is the 24 hours around noon of the mean sun.
@@ -159,7 +159,7 @@ def _shadow_m(
     eye_height_m: float,
     curvature: Curvature,
 ) -> Float64Array:
-    """Return how far from a summit the tips of N shadows are; NaN where none is seen.
+    """Return the distances (N,) of a summit's shadow tips; NaN without one.
 
     An eye at distance r behind the summit sees it under the body's tangent t if its ground is at
     summit - eye height - t r - drop(r).

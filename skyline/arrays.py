@@ -34,9 +34,9 @@ Index = int | slice | NDArray[np.integer] | BoolArray
 
 
 def refuse_text(**given: object) -> None:
-    """Raise `InputError` for a named value that is text, or has text among its numbers.
+    """Raise `InputError` for a named value that is or contains text.
 
-    NumPy would read "9.85" as a number, and other libraries end in the middle of a calculation.
+    NumPy would read "9.85" as a number, and other libraries fail in the middle of a calculation.
     """
     for name, value in given.items():
         if value is None or isinstance(value, float | int):
@@ -53,7 +53,7 @@ def refuse_text(**given: object) -> None:
 
 
 def by_dimensions(*values: Any) -> list[Any]:
-    """Return values, with those that have named dimensions broadcast by the names.
+    """Return values, broadcast by the names of their dimensions, if any.
 
     By position, the two axes of a square raster would give the places of its diagonal. The
     dimensions of the last value come first, so that x and y make rows of y.
@@ -67,7 +67,7 @@ def by_dimensions(*values: Any) -> list[Any]:
 
 
 class ShortRepr:
-    """Base of dataclasses that are printed in a line, with the shapes of their arrays.
+    """Base of dataclasses that print on one line, arrays as shapes.
 
     The dataclass needs ``repr=False``.
     """

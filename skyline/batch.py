@@ -9,7 +9,8 @@ import re
 import time
 from collections.abc import Hashable, Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from datetime import datetime
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -22,7 +23,7 @@ from skyline.match.matcher import Matcher, paths_of
 from skyline.match.prior import Narrowing
 from skyline.match.result import MatchResult
 from skyline.photo.image import opened_image, photos_in
-from skyline.photo.photo import check_fov
+from skyline.photo.photo import check_fov, read_noted_time
 from skyline.photo.read import read_skyline
 from skyline.photo.skyline import Lens, PhotoSkyline
 from skyline.survey.cluster import Opening, Runner, Tell
@@ -33,7 +34,7 @@ _TOGETHER = {
     "heading_deg": ("heading_deg", "heading_slack_deg"),
     "elevation_m": ("lowest_m", "highest_m"),
 }
-"""Columns of each field of a narrowing; a row fills either all columns of a field or none."""
+"""The columns of each field of a narrowing; a row fills all columns of a field or none."""
 
 _NUMBERS = ("fov_deg", "fov_sd_share", "eye_height_m", *chain.from_iterable(_TOGETHER.values()))
 
@@ -58,6 +59,22 @@ class Entry:
     narrowing: Narrowing = Narrowing()  # noqa: RUF009  (it is frozen)
     label: str = ""
     """The ``id`` or ``name`` that a list gives it."""
+    time: datetime | None = field(default=None, repr=False)
+    """When it was taken, as a list gives it; by default as its file notes it. No answer depends on
+    it, nor does a digest of the entry, which is of its text."""
+
+    def taken(self) -> datetime:
+        """Return when the photo was taken.
+
+        Raises `InputError` where nothing tells it.
+        """
+        taken = self.time or read_noted_time(self.path)
+        if taken is None:
+            raise InputError(
+                f"{self.path} does not note when it was taken; name the photos in a list that has "
+                "a column `time` beside `path`, such as 2026-07-14T15:04"
+            )
+        return taken
 
     def check(self) -> None:
         """Check what can be checked without decoding a picture.
@@ -107,7 +124,7 @@ def entries_of(paths: Iterable[Path], common: Entry) -> Iterator[Entry]:
         if table is None or "path" not in table.header:
             yield replace(common, path=str(path))
             continue
-        table.refuse_other("path", *_NUMBERS, "projection", "id", "name")
+        table.refuse_other("path", *_NUMBERS, "projection", "time", "id", "name")
         if not table.rows:
             raise InputError(f"{path} is a list without photos; add a row for each")
         for row in table.rows:
@@ -123,10 +140,10 @@ def _files_in(paths: Iterable[Path]) -> Iterator[Path]:
 
 
 def _names_on_input() -> list[Path]:
-    """Return the names of files on standard input, one a line, as `find` prints them.
+    """Return the names of files on standard input, as `find` prints them.
 
-    There are none in a photo, a list and a trace. Raises `InputError` for empty input, and for
-    names that begin with one of no file.
+    A photo, a list or a trace has none. Raises `InputError` for empty input, and if the first name
+    is not that of a file.
     """
     expected = "expected a photo, or names of files, one a line, a list or a trace"
     lines = os.fsdecode(read_bytes(STANDARD, expected)).split("\n")
@@ -137,12 +154,12 @@ def _names_on_input() -> list[Path]:
     if names[0] != "path" and os.path.lexists(names[0]):
         return list(map(Path, names))
     if is_table(STANDARD) and names[0] != "path" and not set(",;\t#") & set(names[0]):
-        raise InputError(f"standard input names {names[0][:80]}, which is no file; {expected}")
+        raise InputError(f"standard input names {names[0][:80]}, which is not a file; {expected}")
     return []
 
 
 def _expanded(path: Path) -> Iterator[Path]:
-    """Yield a path, or the files for which a folder or a wildcard stands."""
+    """Yield a path, or the files of a folder or wildcard."""
     if path.is_dir():
         pictures = photos_in(path, lambda folder: is_own_page(folder / REPORT_PAGE))
         yield from sorted(pictures, key=_in_order)
@@ -188,6 +205,19 @@ def _entry(table: Table, row: Row, common: Entry) -> Entry:
         projection=projection,
         narrowing=narrowing,
         label=row.label,
+        time=_time_in(row) if row["time"] else None,
+    )
+
+
+def _time_in(row: Row) -> datetime:
+    """Return a row's time; raises `InputError` for a text that is none."""
+    text = row["time"]
+    with suppress(ValueError):
+        if "T" in text or " " in text:
+            return datetime.fromisoformat(text)
+    raise InputError(
+        f"{row.where}: the time is `{text[:80]}`; expected a day and a time such as "
+        "2026-07-14T15:04"
     )
 
 
@@ -203,7 +233,7 @@ def match_here(matcher: Matcher, entries: Iterable[Entry]) -> Iterator[MatchResu
 def match_many(
     runner: Runner, matcher: tuple[Hashable, ...], entries: Sequence[Entry]
 ) -> Iterator[MatchResult | SkylineError]:
-    """Match photos on workers; yields results in order, as soon as possible.
+    """Match photos on workers; yield results in order, as soon as possible.
 
     A photo that cannot be matched yields its error; the others are still matched. ``matcher`` are
     the arguments of `Matcher`, in order: the store's path first, or the paths of several. Workers

@@ -44,14 +44,14 @@ from skyline.terrain.raster_files import files_of
 
 _SEEN_KM = 30.0
 """Distance past the area to which elevation is fetched. From valleys and slopes hardly any skyline
-is farther: a ridge 1 km above the eye stands 1.8 degrees high there, and nearer ones hide it. At
-100 km a fetch would be nine times as large; refinement knows where the terrain's data ends."""
+is farther away: a ridge 1 km above the eye stands 1.8 degrees high there, and nearer ones hide it.
+At 100 km a fetch would be nine times as large; refinement knows where the terrain's data ends."""
 
 _LOCK = "lock"
 """Name of the file in an area's folder that is locked while the area is made."""
 
 PrintNote = Callable[[str], None]
-"""Prints a line on what is done."""
+"""Prints a line about what is being done."""
 
 Bar = Callable[[str], AbstractContextManager[Progress | None]]
 """Shows the progress of a step that it is given by name."""
@@ -71,7 +71,7 @@ class Area:
     def around(
         cls, lonlat_deg: Sequence[tuple[float, float]], built_km: float, needed_km: float
     ) -> "Area":
-        """Return the area that contains circles round places, which lie close together."""
+        """Return the area that contains circles round nearby places."""
         frame = Frame.local(lon=lonlat_deg[0][0], lat=lonlat_deg[0][1])
         east, north = frame.from_lonlat(*np.transpose(lonlat_deg))
         needed, built = (
@@ -137,12 +137,12 @@ def prepare_area(
     print_note: PrintNote = lambda _: None,
     bar: Bar = lambda _: nullcontext(),
 ) -> CachedArea:
-    """Return an area from the cache; build it if it is missing.
+    """Return an area from the cache; build it if missing.
 
-    ``dem`` are elevation files, folders of them, or a model in memory. Without it, tiles are
-    fetched from ``source``, a source of `fetch_dem`: by default the one of `source_of`. Raises
-    `InputError` where the DEM does not cover the area, there is only sea, or the cache cannot be
-    written, and `FetchError` where a server fails.
+    ``dem`` is elevation files, folders of them, or a model in memory. Without it, tiles are fetched
+    from ``source``, a source of `fetch_dem`, by default `source_of`. Raises `InputError` where the
+    DEM does not cover the area, there is only sea, or the cache cannot be written, and `FetchError`
+    where a server fails.
     """
     check_bounds(area.built)
     terrain = field_in_memory(dem)
@@ -180,13 +180,13 @@ def prepare_area(
 
 
 def store_of(path: Path) -> Path:
-    """Return the store of an area's folder; other paths stay as they are."""
+    """Return the store in an area's folder; return other paths unchanged."""
     store = path / _STORE
     return store if store.is_file() else path
 
 
 def title_of(store: Path) -> str:
-    """Return the name of a store: its file's, or the bounds of a kept area."""
+    """Return a store's name: its file's, or a cached area's bounds."""
     bounds = _bounds_of(store.parent.name) if store.name == _STORE else None
     return store.name if bounds is None else "area " + ",".join(f"{one:.2f}" for one in bounds)
 
@@ -242,7 +242,7 @@ _TERRAIN = f"{Path(_STORE).stem}-{FORMAT}{SUFFIX}"
 def _origin(dem: Sequence[str] | HeightField, source: str) -> str:
     """Return the name of the folder for a DEM's areas.
 
-    The DEM is some files or a field, or comes from a source if there are none.
+    The DEM is files or a field; without either it comes from a source.
     """
     if isinstance(dem, HeightField):
         return f"dem-{digest_of(dem.digest)}"
@@ -294,7 +294,7 @@ def _bounds_of(name: str) -> Bounds | None:
 
 
 def _areas_in(folders: Iterable[Path]) -> list[CachedArea]:
-    """Return the areas among folders, whose names are bounds, in order."""
+    """Return the areas among folders, in the order of their bounds."""
     named = ((folder, _bounds_of(folder.name)) for folder in sorted(folders))
     return [CachedArea(folder, bounds) for folder, bounds in named if bounds is not None]
 
@@ -363,10 +363,7 @@ def _unwritable(reason: str) -> InputError:
 
 @contextmanager
 def _explained() -> Iterator[None]:
-    """Turn errors of a disk into one that names the cache.
-
-    They are errors of a full disk, and of a disk that may not be written.
-    """
+    """Turn errors of a full or read-only disk into an `InputError`."""
     no_room = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
     no_rights = {errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR, errno.EEXIST}
     try:
@@ -384,7 +381,7 @@ def _explained() -> Iterator[None]:
 
 @contextmanager
 def hold_area(folder: Path, print_note: PrintNote | None = None) -> Iterator[bool]:
-    """Hold an area's lock for the block; yield whether it was obtained.
+    """Hold an area's lock; yield whether it was obtained.
 
     The folder is made if it is missing. With ``print_note`` the function waits for another process,
     else it gives up at once. A folder that contains only the lock at the end is removed.

@@ -1,11 +1,11 @@
 """The geometry of a camera, from its pixels to azimuths and elevations.
 
-Nothing else in Skyline projects, levels or distorts, nor takes derivatives of any of these. Four
-kinds of coordinates follow one another:
+No other module of Skyline projects, levels or distorts, or takes derivatives of these. Four kinds
+of coordinates follow one another:
 
 * *pixels*: columns and rows; pixel centres are at whole numbers;
 * *across, above*: right of and above a picture's middle, in halves of its width;
-* *u, v*: the same on an image of unit focal length, see `Projection.rays`;
+* *u, v*: the same on an image of unit focal length; see `Projection.rays`;
 * *azimuth, elevation*: directions in a level frame, see `level`.
 """
 
@@ -29,17 +29,18 @@ Pixel = tuple[float, float]
 MIN_FOV_DEG = 1.0
 MAX_FOV_DEG = 179.0
 MAX_FISHEYE_DEG = 180.0
-"""Across a fisheye's picture; its corners look farther aside, and behind the camera."""
+"""Greatest angle across a fisheye's picture; its corners look farther aside, and behind the
+camera."""
 MAX_PANORAMA_DEG = 360.0
 MOST_DISTORTION = 0.3
 """Greatest distortion of a lens, see `undistorted`; a lens with more is a fisheye."""
 WANDER_DEGREES = range(2, 6)
-"""Degrees of the Legendre polynomials by which the rows of a panorama wander."""
+"""Degrees of the Legendre polynomials that describe how a panorama's rows wander."""
 _NEWTON_STEPS = 30
 _NEWTON_ERROR = 1e-9
 _NO_ANGLE = 1e-12
 _LEAST_FORWARD = np.float32(0.05)
-"""`ImagePoints.levelled` moves rays of a lens that look less far ahead to this much."""
+"""`ImagePoints.levelled` moves rays of a lens that point less far forward to this value."""
 _BACKMOST_RAD = np.radians(170.0)
 """Largest angle off a fisheye's axis that `project` follows: no lens shows what is behind it, and a
 line that passes there would cross the whole picture."""
@@ -89,10 +90,7 @@ class Projection(StrEnum):
         return MAX_FISHEYE_DEG if self is Projection.FISHEYE else MAX_FOV_DEG
 
     def check_fov_deg(self, fov_deg: float) -> float:
-        """Return a horizontal field of view.
-
-        Raises `InputError` if it is impossible.
-        """
+        """Return a field of view, or raise `InputError` if impossible."""
         if not MIN_FOV_DEG <= fov_deg <= self.most_fov_deg:
             raise InputError(
                 f"horizontal field of view is {fov_deg:g} degrees; expected {MIN_FOV_DEG:g} to "
@@ -102,7 +100,7 @@ class Projection(StrEnum):
 
     @property
     def _fov_hint(self) -> str:
-        """Fields of view of such photos, in words."""
+        """Describe the fields of view of such photos in words."""
         if self.is_panorama:
             return "a full turn is the most"
         if self is Projection.FISHEYE:
@@ -115,13 +113,13 @@ class Projection(StrEnum):
     def rays(
         self, across: Float64Array, above: Float64Array, fov_deg: float
     ) -> tuple[Float64Array, Float64Array]:
-        """Return places u, v for places across a photo.
+        """Return u and v of places in a photo.
 
-        They are on an image of unit focal length. Through a lens u and v are right and up over
-        forward: the ray is (u, v, 1). A panorama's image is a cylinder: u is the azimuth from its
-        middle, radians, v the tangent of the elevation, and the ray is (sin u, v, cos u). A
-        fisheye's u and v are right and up at the distance a from the middle, where a is the angle
-        off the axis, radians: the ray is (u sin a / a, v sin a / a, cos a).
+        They lie on an image of unit focal length. Through a lens, u and v are right and up divided
+        by forward: the ray is (u, v, 1). A panorama's image is a cylinder: u is the azimuth from
+        its middle in radians, v the tangent of the elevation, and the ray is (sin u, v, cos u). A
+        fisheye's u and v lie at the distance a from the middle, where a is the angle off the axis
+        in radians: the ray is (u sin a / a, v sin a / a, cos a).
 
         Parameters
         ----------
@@ -152,12 +150,12 @@ class Projection(StrEnum):
         return half_rad if self.spreads_angles else np.tan(half_rad)
 
     def fov_deg(self, half_width: Any) -> Any:
-        """Return the field of view of a half width; inverse of `half_width`."""
+        """Return a half width's field of view; the inverse of `half_width`."""
         half_rad = half_width if self.spreads_angles else np.arctan(half_width)
         return np.degrees(2.0 * half_rad)
 
     def column_deg(self, width: int, fov_deg: float) -> Float64Array:
-        """Return the degrees of azimuth that each of ``width`` columns spans, (width,)."""
+        """Return the degrees of azimuth (width,) that each of ``width`` columns spans."""
         edges = np.linspace(-1.0, 1.0, width + 1)
         u, _ = self.rays(edges, np.zeros_like(edges), fov_deg)
         azimuth = u if self.spreads_angles else np.arctan(u)
@@ -194,17 +192,17 @@ def in_picture(
 def wander_of(across: Float64Array) -> Float64Array:
     """Return the ways in which a panorama's rows may wander.
 
-    A panorama is joined from many exposures, and its horizon is seldom straight. Each of the ways,
-    (..., 4), is a Legendre polynomial of ``across``, which is -1 and 1 at the sides. The lower
-    degrees are left out: they are a shift and a turn of the whole image.
+    A panorama is joined from many exposures, and its horizon is seldom straight. Each of the four
+    ways (..., 4) is a Legendre polynomial of ``across``, which is -1 and 1 at the sides. The
+    degrees 0 and 1 are left out: they shift and turn the whole image.
     """
     return np.asarray(legendre.legvander(across, WANDER_DEGREES[-1])[..., WANDER_DEGREES])
 
 
 def wandered(across: Float64Array, wander: Sequence[float]) -> Float64Array:
-    """Return how far up a panorama's rows have wandered, as tangents.
+    """Return how far a panorama's rows have wandered up, as tangents.
 
-    ``wander`` has a factor for each of the ways of `wander_of`.
+    ``wander`` has a factor for each way of `wander_of`.
     """
     return np.asarray(legendre.legval(across, (0.0,) * WANDER_DEGREES[0] + tuple(wander)))
 
@@ -215,7 +213,7 @@ def undistorted(
     distortion: float,
     projection: Projection = Projection.PERSPECTIVE,
 ) -> tuple[Float64Array, Float64Array]:
-    """Return where a lens without distortion would show the same.
+    """Return where a lens without distortion would show the same points.
 
     The distortion k multiplies the distance r from the middle, in halves of the width, by
     1 + k r^2; it is positive for barrel distortion. A fisheye's distortion is how it differs from
@@ -226,10 +224,10 @@ def undistorted(
 
 
 def _fixed_at(projection: Projection) -> float:
-    """Return the squared distance from the middle that a distortion leaves as it is.
+    """Return the squared distance from the middle that no distortion changes.
 
-    Halves of the width: the field of view of a lens is the one in its middle, and the field of view
-    of a fisheye is the angle between its sides.
+    It is in halves of the width: a lens's field of view is defined in its middle, a fisheye's at
+    its sides.
     """
     return float(projection is Projection.FISHEYE)
 
@@ -240,7 +238,7 @@ def distorted(
     distortion: float,
     projection: Projection = Projection.PERSPECTIVE,
 ) -> tuple[Float64Array, Float64Array]:
-    """Return the inverse of `undistorted`.
+    """Return where a distorting lens shows points: the inverse of `undistorted`.
 
     NaN for places that the lens does not show.
     """
@@ -286,9 +284,9 @@ def level_axes(
 ) -> tuple[Any, Any, Any]:
     """Return rays as components of a level camera.
 
-    They are right, up and forward; angles are in radians. A panorama's camera turns about an
-    upright axis, so its pitch raises the rows equally all the way round: tangents of a cylindrical
-    photo, elevations of an equirectangular one.
+    The components are right, up and forward; angles are in radians. A panorama's camera turns about
+    an upright axis, so its pitch raises the rows equally all the way round: tangents of a
+    cylindrical photo, elevations of an equirectangular one.
     """
     if not projection.is_panorama:
         return _held(*_ray(u, v, projection), pitch, roll)
@@ -297,7 +295,7 @@ def level_axes(
 
 
 def _held(across: Any, above: Any, ahead: Any, pitch: Any, roll: Any) -> tuple[Any, Any, Any]:
-    """Return right, up and forward of a ray of a pitched and rolled camera; linear in the ray."""
+    """Return a pitched and rolled camera's ray as right, up and forward."""
     right = across * np.cos(roll) + above * np.sin(roll)
     up = above * np.cos(roll) - across * np.sin(roll)
     return (
@@ -317,7 +315,7 @@ def _ray(u: Any, v: Any, projection: Projection) -> tuple[Any, Any, Any]:
 
 
 def _ray_by_log_scale(u: Any, v: Any, projection: Projection) -> tuple[Any, Any, Any]:
-    """Return the derivative of `_ray` by the logarithm of the image's scale."""
+    """Return the derivative of `_ray` by the logarithm of the scale."""
     if projection is Projection.PERSPECTIVE:
         return u, v, 0.0
     off_axis = np.hypot(u, v)
@@ -327,8 +325,8 @@ def _ray_by_log_scale(u: Any, v: Any, projection: Projection) -> tuple[Any, Any,
 def _raised(v: Any, tangent: Any, projection: Projection) -> tuple[Any, Any]:
     """Return v raised by a pitch, and the side it is on.
 
-    ``tangent`` is the pitch's. The side is 1, or -1 where v is raised past the zenith. An
-    equirectangular photo is raised by the angle.
+    ``tangent`` is the tangent of the pitch. The side is 1, or -1 where v is raised past the zenith.
+    An equirectangular photo is raised by the angle.
     """
     if projection is not Projection.EQUIRECTANGULAR:
         return v + tangent, 1.0
@@ -375,9 +373,9 @@ def _axes_with_changes(
     roll: Float64Array,
     projection: Projection,
 ) -> tuple[tuple[Any, Any, Any], list[Float64Array]]:
-    """Return `level_axes` of a lens or a fisheye, and its derivatives.
+    """Return `level_axes` of a lens or a fisheye, with derivatives.
 
-    They are (M, R, 3): by pitch, roll and log scale.
+    These are (M, R, 3): by pitch, roll and log scale.
     """
     right, up, forward = axes = level_axes(u, v, pitch, roll, projection)
     cos_pitch, sin_pitch = np.cos(pitch), np.sin(pitch)
@@ -401,10 +399,10 @@ def _panorama_with_changes(
     roll: Float64Array,
     projection: Projection,
 ) -> tuple[tuple[Any, Any, Any], list[Float64Array]]:
-    """Return `level_axes` of a panorama, and its derivatives.
+    """Return `level_axes` of a panorama, with derivatives.
 
-    They are by pitch, roll, log scale and warps. ``v_change`` (M, R) and ``wander`` (M, R, K) are
-    the derivatives of v by the last two.
+    These are by pitch, roll, log scale and warps. ``v_change`` (M, R) and ``wander`` (M, R, K) are
+    the derivatives of v by log scale and warps.
     """
     above, _ = _raised(v, np.tan(pitch), projection)
     if projection is Projection.EQUIRECTANGULAR:
@@ -468,7 +466,7 @@ class ImagePoints:
     v: Float64Array
     """(R,) float64. Position above the image's middle."""
     fov_deg: float
-    """Horizontal field of view that u and v were computed with."""
+    """Horizontal field of view with which u and v were computed."""
     projection: Projection = Projection.PERSPECTIVE
 
     @property
@@ -483,7 +481,7 @@ class ImagePoints:
 
     @property
     def reach(self) -> Float64Array:
-        """How far (R,) a distortion of 1 would move points outwards, as a share.
+        """Share (R,) by which a distortion of 1 moves points outwards.
 
         It is the squared distance from the image's middle, in half widths; see `undistorted`.
         """
@@ -492,7 +490,7 @@ class ImagePoints:
 
     @property
     def wander(self) -> Float64Array:
-        """Ways (R, 4) in which a panorama's rows wander; none for lenses."""
+        """Ways (R, 4) in which a panorama's rows wander."""
         if not self.is_panorama:
             return np.zeros((len(self.u), 0))
         return wander_of(self.u / self.half_width)
@@ -506,9 +504,9 @@ class ImagePoints:
         return np.asarray(np.log(half_width) - np.log(self.half_width))
 
     def fov_at(self, log_scale: Float64Array) -> Float64Array:
-        """Return the fields of view of factors on u and v.
+        """Return fields of view, degrees, from logarithms of scales.
 
-        They are in degrees; the inverse of `log_scale`.
+        The inverse of `log_scale`.
         """
         half_width = self.half_width * np.exp(log_scale)
         return np.asarray(self.projection.fov_deg(half_width))
@@ -516,7 +514,7 @@ class ImagePoints:
     def scaled(self, scale: Any) -> tuple[Any, Any]:
         """Return u and v for half widths ``scale`` times as large.
 
-        They have the dtype of ``scale``.
+        Their dtype is the dtype of ``scale``.
         """
         u, v = (ray.astype(scale.dtype) for ray in (self.u, self.v))
         if self.projection is Projection.EQUIRECTANGULAR:
@@ -629,7 +627,7 @@ class Camera:
     ) -> tuple[Float64Array, Float64Array]:
         """Return the columns and rows at which directions appear.
 
-        NaN for directions that are not in front.
+        NaN for directions that are not in front of the camera.
         """
         refuse_text(grid_azimuth_deg=grid_azimuth_deg, elevation_tan=elevation_tan)
         turn = np.radians(np.asarray(grid_azimuth_deg, dtype=np.float64) - self.grid_heading_deg)
@@ -648,7 +646,7 @@ class Camera:
     def directions(
         self, column_px: ArrayLike, row_px: ArrayLike
     ) -> tuple[Float64Array, Float64Array]:
-        """Return grid azimuths, degrees, and tangents of elevation of pixels.
+        """Return the grid azimuths, degrees, and elevation tangents of pixels.
 
         The inverse of `pixels`.
         """
@@ -689,10 +687,10 @@ class Camera:
         )
 
     def spans(self, column_px: ArrayLike, row_px: ArrayLike) -> Float64Array:
-        """Return how the directions of N pixels change from pixel to pixel.
+        """Return how directions change from each of N pixels to the next.
 
-        Derivatives (N, 2, 2) of the azimuth, radians, and of the tangent of elevation, by a column
-        to the right and by a row down.
+        The derivatives (N, 2, 2) are of the azimuth, radians, and the tangent of elevation, by a
+        column to the right and by a row down.
         """
         column, row = np.broadcast_arrays(
             np.asarray(column_px, dtype=np.float64), np.asarray(row_px, dtype=np.float64)

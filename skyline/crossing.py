@@ -1,9 +1,9 @@
 """Where the rays of two or more photos cross, and whether they meet at all.
 
-Each photo has a pose, and a pixel of the same thing. The place is the one whose directions from the
-cameras differ least from the pixels', in their standard errors; light bends as for skylines. A
-pose that is wrong in its place is mostly turned, too, so a difference has the errors of all of the
-pose's unknowns together.
+Each photo has a pose, and a pixel that shows the same thing. The place is the one whose directions
+from the cameras differ least from the directions of the pixels, in standard errors; light bends as
+for skylines. The errors of a pose's place and direction are correlated, so they are counted
+together.
 """
 
 import math
@@ -23,9 +23,10 @@ from skyline.pose import Pose
 from skyline.pose_errors import HEADING, PIXEL_SD_PX, Bearings
 
 LEAST_PROBABILITY = 0.01
-"""Rays that would pass as far apart more seldom than this, if they met, are said to miss."""
+"""Rays miss each other if rays that meet would seldom, with less than this probability, seem so far
+apart."""
 _LEAST_ANGLE_SDS = 3.0
-"""Rays whose azimuths differ by less than so many standard errors have no crossing."""
+"""Rays whose azimuths differ by less than this many standard errors do not cross."""
 _ROUNDS = 20
 _SETTLED_M = 1e-3
 
@@ -58,11 +59,11 @@ class Crossing:
     easting_m, northing_m, elevation_m : float
         In the frame, above the DEM's datum.
     covariance_m2 : (3, 3) float64
-        Of easting, northing and elevation.
+        Covariance of easting, northing and elevation.
     chi_square : float
-        Squares of the misfits in standard errors.
+        Sum of the squared misfits, in standard errors.
     probability : float
-        Probability of so great a misfit, or a greater one, if the rays meet.
+        Probability of a misfit at least as great if the rays meet.
     """
 
     easting_m: float
@@ -79,7 +80,7 @@ class Crossing:
 
 
 def cross(rays: Sequence[Ray], curvature: Curvature, pixel_sd_px: float = PIXEL_SD_PX) -> Crossing:
-    """Return where rays cross.
+    """Return where rays cross, with the covariance of the place.
 
     Parameters
     ----------
@@ -123,7 +124,7 @@ def cross(rays: Sequence[Ray], curvature: Curvature, pixel_sd_px: float = PIXEL_
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Seen:
-    """What a camera sees in its pixel."""
+    """The direction of a camera's pixel, and its errors."""
 
     eye_m: Float64Array
     """(3,) float64. Easting, northing and elevation."""
@@ -134,7 +135,7 @@ class _Seen:
     covariance: Float64Array
     """(P, P) float64. As `Pose.covariance`."""
     of_pixel: Float64Array
-    """(2, 2) float64. Covariance of azimuth and tangent that is due to the pixel."""
+    """(2, 2) float64. Covariance of azimuth and tangent due to the error of the pixel."""
 
     @classmethod
     def of(cls, ray: Ray, pixel_sd_px: float) -> "_Seen":
@@ -154,7 +155,7 @@ class _Seen:
 
     @property
     def ahead(self) -> Float64Array:
-        """The direction (3,) of the ray, level of length 1."""
+        """The direction (3,) of the ray; its horizontal part has length 1."""
         return np.array([np.sin(self.azimuth_rad), np.cos(self.azimuth_rad), self.elevation_tan])
 
     @property
@@ -219,7 +220,7 @@ def _check_apart(seen: Sequence[_Seen]) -> None:
     if apart_deg[best] < _LEAST_ANGLE_SDS * error_deg[best]:
         raise InputError(
             f"the rays are parallel within their errors: {apart_deg[best]:.2f} degrees apart, give "
-            f"or take {error_deg[best]:.2f}; give photos from places farther aside"
+            f"or take {error_deg[best]:.2f}; give photos from places farther apart"
         )
 
 

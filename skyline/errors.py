@@ -26,8 +26,8 @@ _UNSHOWN = re.compile(
 def printable(text: str | os.PathLike[str]) -> str:
     r"""Return text as one line that UTF-8, JSON and XML can hold.
 
-    A byte of a file's name that is not UTF-8 becomes ``\xe4``, for example, a line end ``\n``, and
-    an escape ``\x1b``; everything else stays as it is.
+    A byte of a file's name that is not UTF-8 becomes
+    ``\xe4``, for example, a line end ``\n``, and an escape ``\x1b``; all else stays as it is.
     """
     return _UNSHOWN.sub(lambda found: _escaped(found[0]), os.fspath(text))
 
@@ -105,7 +105,7 @@ class BuildError(SkylineError, RuntimeError):
 def entry_named(what: str, name: str, known: Mapping[str, T]) -> T:
     """Return the entry with a name.
 
-    Raises `InputError` if ``what`` has a name that is not known.
+    Raises `InputError` if ``what`` has an unknown name.
     """
     if name not in known:
         raise InputError(f"{what} is {name!r}; expected one of {', '.join(known)}")
@@ -126,7 +126,7 @@ def numbers_of(given: Any, count: int, error: str) -> tuple[float, ...]:
 
 
 def numbers_in(text: str, count: int, error: str) -> tuple[float, ...]:
-    """Return ``count`` numbers that text has between commas; otherwise as `numbers_of`."""
+    """Return ``count`` numbers from text with commas; otherwise as `numbers_of`."""
     try:
         numbers = tuple(map(float, text.split(",")))
     except ValueError:
@@ -137,7 +137,7 @@ def numbers_in(text: str, count: int, error: str) -> tuple[float, ...]:
 def suffix_of(path: str | Path, known: Iterable[str]) -> str:
     """Return a path's suffix in lower case.
 
-    Raises `InputError` for a suffix that is not known.
+    Raises `InputError` for an unknown suffix.
     """
     suffix = Path(path).suffix.lower()
     entry_named(f"the suffix of {path}", suffix, dict.fromkeys(known))
@@ -145,9 +145,9 @@ def suffix_of(path: str | Path, known: Iterable[str]) -> str:
 
 
 def check_suffix(path: str | Path, known: Iterable[str]) -> None:
-    """Raise `InputError` for a path whose suffix is not known.
+    """Raise `InputError` for a path with an unknown suffix.
 
-    A path may have no suffix.
+    A path without a suffix is accepted.
     """
     if Path(path).suffix:
         suffix_of(path, known)
@@ -160,10 +160,7 @@ def some_of(names: Sequence[str], most: int = 5) -> str:
 
 
 def swapped_in_words(*given: float, names: str = "longitude and latitude") -> str:
-    """Return a hint that gives swapped coordinates in the right order.
-
-    In the right order the two numbers of each pair are exchanged.
-    """
+    """Return a hint with each pair of coordinates in swapped order."""
     right = ",".join(
         f"{second:.10g},{first:.10g}" for first, second in zip(given[::2], given[1::2], strict=True)
     )
@@ -171,10 +168,10 @@ def swapped_in_words(*given: float, names: str = "longitude and latitude") -> st
 
 
 def library(name: str, what: str, package: str | None = None) -> Any:
-    """Return the imported library that ``what`` needs.
+    """Import and return the library that ``what`` needs.
 
-    Raises `InputError`, which says how to install it. The error names the package, not Skyline's
-    extra: an index need not have Skyline.
+    Without it, raises an `InputError` that says how to install it. The error names the package, not
+    Skyline's extra: a package index need not have Skyline.
     """
     try:
         return import_module(name)

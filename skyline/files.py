@@ -23,9 +23,9 @@ REPORT_PAGE = "index.html"
 PAGE_MARK = '<meta name="generator" content="Skyline">'
 """The mark of the pages that Skyline writes."""
 STORE_SCHEMA = "skyline-store"
-"""The attribute ``schema`` of a store, by which GDAL knows it from other HDF5 files."""
+"""The attribute ``schema``, which tells a store from other HDF5 files in GDAL."""
 STANDARD = "-"
-"""The name of standard input and output among paths."""
+"""The path that stands for standard input and output."""
 GEOJSON = (".geojson", ".json")
 """Suffixes of GeoJSON."""
 
@@ -33,7 +33,7 @@ _FILE_SUFFIXES = {
     ".csv", ".geojson", ".gpkg", ".gpx", ".h5", ".hdf5", ".htm", ".html", ".jpeg", ".jpg", ".json",
     ".kml", ".kmz", ".npz", ".pdf", ".png", ".svg", ".tif", ".tiff", ".txt", ".zip",
 }  # fmt: skip
-"""Suffixes that no one gives to a folder."""
+"""Suffixes that nobody gives to a folder."""
 
 _SYSTEM_FOLDERS = {
     "__macosx", "@eadir", "$recycle.bin", "system volume information", "lost+found",
@@ -61,7 +61,7 @@ def read_bytes(path: str | Path, expected: str) -> bytes:
 
 @cache
 def _content(stream: TextIO) -> bytes:
-    """Return all bytes of a stream, which gives them once."""
+    """Return all bytes of a stream, which can be read only once."""
     return stream.buffer.read()
 
 
@@ -115,7 +115,7 @@ def write_with_folders(path: Path, content: bytes | str) -> None:
 def check_folder(path: Path) -> None:
     """Raise `InputError` for a path that cannot be a folder.
 
-    Such a path is a file, or a new folder with the suffix of a file.
+    It is a file, or a new folder with the suffix of a file.
     """
     if path.exists() and not path.is_dir():
         raise InputError(f"{path} is a file; name a folder")
@@ -170,7 +170,7 @@ def is_of_system(name: str) -> bool:
 def names_in_words(names: Sequence[str]) -> str:
     """Return the names of files in words.
 
-    One of each ending is named, with the number of the others.
+    One file of each suffix is named, with the number of the others.
     """
     most = 10
     kinds: dict[str, list[str]] = {}
@@ -186,9 +186,9 @@ def names_in_words(names: Sequence[str]) -> str:
 
 def left_out_in_words(names: Sequence[str], expected: str) -> str:
     """Return a clause on a folder's files that are left out."""
-    one = len(names) == 1
-    number, verb = ("1 file", "is") if one else (f"{len(names)} files", "are")
-    return f"{number} {verb} left out, which {verb} no {expected}: {names_in_words(names)}"
+    if len(names) == 1:
+        return f"1 file is left out, which is not a {expected}: {names_in_words(names)}"
+    return f"{len(names)} files are left out, which are not {expected}: {names_in_words(names)}"
 
 
 def has_locks(path: Path) -> bool:
@@ -209,9 +209,9 @@ def has_locks(path: Path) -> bool:
 def lock_file(path: Path, before_waiting: Callable[[], object] | None = None) -> TextIO | None:
     """Lock a file, made if it is missing, and return it open.
 
-    While another process holds the lock, None is returned. With ``before_waiting``, that is called
-    instead, and the lock is waited for. Where no file can be locked, the file is returned all the
-    same. The holder of the lock may remove the file. Raises `OSError` where it cannot be made.
+    If another process holds the lock, returns None, or, with ``before_waiting``, calls it and waits
+    for the lock. Where no file can be locked, the file is returned all the same. The holder of the
+    lock may remove the file. Raises `OSError` if it cannot be made.
     """
     while True:
         with ExitStack() as opened:
@@ -286,7 +286,7 @@ def member_name(archive: str | Path, member: str) -> str:
 def archive_of(name: str) -> tuple[str, str] | None:
     """Return the archive and the member of a `member_name`.
 
-    For any other name it is None.
+    Returns None for any other name.
     """
     parts = _MEMBER.fullmatch(name)
     return None if parts is None else (parts[1], parts[2])
@@ -295,7 +295,7 @@ def archive_of(name: str) -> tuple[str, str] | None:
 def on_disk(name: str | Path) -> str | Path:
     """Return the file that GDAL reads under a name.
 
-    The result is a member's archive, or the name itself.
+    It is a member's archive, or the name itself.
     """
     parts = archive_of(str(name))
     return name if parts is None else parts[0]
@@ -304,7 +304,7 @@ def on_disk(name: str | Path) -> str | Path:
 def is_file(path: str | Path) -> bool:
     """Return whether there is a file of this name.
 
-    The name may be too long for a file, as an address may be.
+    An address may be too long for the name of a file.
     """
     return os.path.isfile(path)  # noqa: PTH113  (`Path.is_file` raises an error for long names)
 
@@ -312,7 +312,7 @@ def is_file(path: str | Path) -> bool:
 def version_of(path: str | Path) -> tuple[int, int, int] | None:
     """Return a file's size, modification time and status-change time.
 
-    Without a file it is None. A member of an archive has the version of the archive. Times are in
+    Returns None without a file. A member of an archive has the version of the archive. Times are in
     nanoseconds. Copying and unpacking may keep the modification time, but not the status-change
     time, which a change of permissions or of the name updates, too.
     """

@@ -23,7 +23,7 @@ from matplotlib.ft2font import FaceFlags, FT2Font
 _REGULAR = 400
 """The weight of a font that is neither light nor bold."""
 _CJK = ("CJK", "HIRAGANA", "KATAKANA", "HANGUL", "BOPOMOFO", "HALFWIDTH", "FULLWIDTH")
-"""First words of Unicode's names of letters that are Chinese, Japanese or Korean."""
+"""First words of the Unicode names of Chinese, Japanese and Korean letters."""
 
 
 def fonts_for(texts: Sequence[str]) -> list[tuple[str, ...]]:
@@ -43,7 +43,7 @@ def fonts_for(texts: Sequence[str]) -> list[tuple[str, ...]]:
 def undrawn_letters(texts: Iterable[str]) -> set[str]:
     """Return the letters of texts that no installed font draws.
 
-    A letter comes with the marks that follow it.
+    Each letter comes with the marks that follow it.
     """
     letters = set().union(*map(_letters, texts))
     letters -= _drawn_as_usual(letters)
@@ -51,16 +51,16 @@ def undrawn_letters(texts: Iterable[str]) -> set[str]:
 
 
 def packages_with(letters: Iterable[str]) -> list[str]:
-    """Return Debian's packages of fonts for letters.
+    """Return the Debian packages of fonts that draw most such letters.
 
-    The fonts draw most letters of the same kinds. Matplotlib draws outlines, and not the coloured
-    pixels of fonts-noto-color-emoji.
+    Matplotlib draws outlines, so fonts-noto-color-emoji, which has coloured pixels, is none of
+    them.
     """
     return sorted({_package(letter[0]) for letter in letters} - {""})
 
 
 def _package(letter: str) -> str:
-    """Return Debian's package of fonts for a letter, or an empty text."""
+    """Return the Debian package of fonts for a letter, or ""."""
     if unicodedata.name(letter, "").startswith(_CJK):
         return "fonts-noto-cjk"
     kind = unicodedata.category(letter)
@@ -84,10 +84,7 @@ def _letters(text: str) -> set[str]:
 
 
 def _families(missing: set[str], others: dict[str, set[str]]) -> tuple[str, ...]:
-    """Return the default families and others for the missing letters.
-
-    There are as few others as draw these letters.
-    """
+    """Return the default families, and as few others as draw the rest."""
     families = list(rcParams["font.family"])
     while missing:
         best = max(others, key=lambda family: len(others[family] & missing), default="")
@@ -106,7 +103,7 @@ def _drawn_as_usual(letters: set[str]) -> set[str]:
 
 
 def _drawn_by_others(letters: set[str]) -> dict[str, set[str]]:
-    """Return the letters that each installed family draws, the preferred families first."""
+    """Return the letters that each installed family draws, preferred ones first."""
     drawn: dict[str, set[str]] = {}
     if not letters:
         return drawn

@@ -29,10 +29,10 @@ if TYPE_CHECKING:
     from xarray import DataArray
 
 GRID_STEP_DEG = 5.0
-"""Step between azimuths that suffices for a sky view factor: `skyline-bench sky-view` has the
-errors of this step and of others."""
+"""Step between azimuths that suffices for a sky view factor; `skyline-bench sky-view` measures the
+errors of this and other steps."""
 GRID_EYE_HEIGHT_M = 0.1
-"""Height above ground: an eye on the ground itself, that rounding does not put below it."""
+"""Height above ground: an eye on the ground that rounding does not put below it."""
 _AT_ONCE = 4096
 """About as many eyes are rendered between two reports of progress."""
 
@@ -50,16 +50,16 @@ def sky_view_grid(
 ) -> DataArray:
     """Return the sky view factor at every sample of a DEM.
 
-    The factor of a sample is the one of a level surface that `LocalHorizons.sky_view_factor` gives
-    for the same horizon.
+    It is the factor of a level surface, as `LocalHorizons.sky_view_factor` gives it for the same
+    horizon.
 
     Parameters
     ----------
     dem : path, paths, DataArray or HeightField
-        A DataArray gives a result on its own grid. If Dask keeps it in chunks, so it does the
-        result, whose chunks are computed when they are needed; the DEM is in memory as a whole,
-        since a horizon may lie anywhere in it. Everything else gives a result on the grid of the
-        height field that `read_dem` makes of it.
+        A DataArray gives a result on its own grid. If it is in Dask chunks, so is the result, and
+        its chunks are computed when they are needed; the whole DEM is in memory, since a horizon
+        may lie anywhere in it. Everything else gives a result on the grid of the height field that
+        `read_dem` makes of it.
     step_deg : float
         Step between azimuths.
     eye_height_m : float
@@ -119,7 +119,7 @@ def horizon_grid(
 def _seen(
     eyes: _Eyes, look: _Look, first: tuple[int, ...], progress: Progress | None
 ) -> Float32Array | Any:
-    """Return what is seen from all samples (*first, rows, columns), by blocks."""
+    """Return what all samples see (*first, rows, columns), block by block."""
     rows, cols = eyes.grid.shape
     if eyes.grid.chunks is not None:
         return _lazily_seen(eyes, look, first)
@@ -136,7 +136,7 @@ def _seen(
 
 
 def _lazily_seen(eyes: _Eyes, look: _Look, first: tuple[int, ...]) -> Any:
-    """Return what is seen as an array of Dask, in the chunks of the grid."""
+    """Return what all samples see, as an array of Dask."""
     dask = library("dask.array", "a DataArray in chunks", "'dask[array]'")
     down, across = eyes.grid.chunks or ((), ())
     rows = dask.arange(eyes.grid.shape[0], chunks=(down,))[:, np.newaxis]
@@ -170,7 +170,7 @@ def _factors(eyes: _Eyes, rows: IntArray, cols: IntArray) -> Float32Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Grid:
-    """The samples of a DEM as it was given, and the DataArrays that they make."""
+    """The samples of a DEM as given, and DataArrays on them."""
 
     field: HeightField
     x: Float64Array
@@ -183,7 +183,7 @@ class _Grid:
     coords: dict[str, Any]
     attrs: dict[str, Any]
     chunks: tuple[tuple[int, ...], tuple[int, ...]] | None = None
-    """Those of Dask; None where all is in memory."""
+    """Dask's chunks; None where all is in memory."""
 
     @classmethod
     def of(cls, dem: Any) -> _Grid:

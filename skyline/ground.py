@@ -1,4 +1,4 @@
-r"""The ground that a camera sees: where its pixels show it, how sure that is, and where it appears.
+r"""The ground that pixels show, with its errors, and the way back.
 
 A ray of azimuth a and tangent y meets the ground at the distance d. There the ground rises by g,
 and by s more steeply than the ray. If the eye stood at t (east, north) and up from where it is
@@ -34,15 +34,15 @@ GRAZING = 0.05
 """A ray grazes the ground if it meets it at a slope below this, about 3 degrees: a metre of height
 moves the place by 20 m or more."""
 _SDS = 2.0
-"""The rays beside a ray are so many standard errors away from it."""
+"""The rays beside a ray are this many standard errors away from it."""
 _LEAST_SD_RAD = 1e-4
-"""They are at least so far away, a part of a pixel: closer by, all ground is a plane."""
+"""They are at least this far away, a part of a pixel: any nearer, all ground is a plane."""
 _LEAST_SLOPE = 1e-3
-"""A ray and the ground that it meets differ by more than this, if they are to be followed."""
+"""The slopes of a ray and the ground that it meets must differ by more than this."""
 _HIDDEN_PX = 0.5
-"""Ground is hidden if it would be hidden so much higher up in the photo."""
+"""Ground is hidden if it would still be hidden this much higher up in the photo."""
 _HIDDEN_SAMPLES = 2.0
-"""Ground hides what lies so many samples behind it, or farther."""
+"""Ground hides what lies at least this many samples behind it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,7 +50,7 @@ class GroundErrors:
     """Errors of drawn pixels, and of a terrain model."""
 
     pixel_sd_px: float = PIXEL_SD_PX
-    """Standard deviation of a pixel's column and row."""
+    """Standard deviation of a pixel's column and row: the accuracy of drawing by hand."""
     height_sd_m: float | None = None
     """Standard deviation of the model's heights; by default `HeightField.height_sd_m`."""
 
@@ -85,7 +85,7 @@ class GroundPoints(Rows):
     by_pixel: Float64Array
     """(N, 3, 2) float64. By a column to the right and a row down."""
     by_height: Float64Array
-    """(N, 3) float64. By a metre that the model is too high there."""
+    """(N, 3) float64. By a metre by which the model is too high there."""
     covariance_m2: Float64Array
     """(N, 3, 3) float64. Covariance of easting, northing and elevation."""
     slope: Float64Array
@@ -115,7 +115,7 @@ class GroundPoints(Rows):
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
 class GroundPixels(Rows):
-    """N places of the ground in a photo."""
+    """The pixels of N places on the ground."""
 
     column_px: Float64Array
     """(N,) float64. NaN for ground that is not in front of the camera."""
@@ -124,7 +124,7 @@ class GroundPixels(Rows):
     distance_m: Float64Array
     """(N,) float64. Horizontal distance from the camera."""
     is_hidden: BoolArray
-    """(N,) bool. Whether other ground stands before it; False far outside the photo."""
+    """(N,) bool. Whether other ground stands in front of it; False far outside the photo."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -225,8 +225,14 @@ class GroundView:
             slope=slope,
         )
 
-    def pixels(self, easting_m: Float64Array, northing_m: Float64Array) -> GroundPixels:
-        """Return where N places of the ground appear; NaN off the map."""
+    def pixels(
+        self, easting_m: Float64Array, northing_m: Float64Array, hides_m: float | None = None
+    ) -> GroundPixels:
+        """Return where N places of the ground appear; NaN off the map.
+
+        Ground hides what lies ``hides_m`` behind it, or farther; by default two samples of the
+        model.
+        """
         east_m, north_m = easting_m - self.eye.easting_m, northing_m - self.eye.northing_m
         away_m = np.hypot(east_m, north_m)
         ground_m = self.terrain.height_at(easting_m=easting_m, northing_m=northing_m)
@@ -239,7 +245,9 @@ class GroundView:
         is_seen &= np.abs(row_px - self.camera.height_px / 2.0) <= self.camera.height_px
         clear_tan = tan[is_seen] + _HIDDEN_PX * 2.0 * self._step_rad * (1.0 + tan[is_seen] ** 2)
         hit_m = self.hits_m(azimuth[is_seen], clear_tan)
-        behind_m = away_m[is_seen] - _HIDDEN_SAMPLES * self.terrain.spacing_m
+        if hides_m is None:
+            hides_m = _HIDDEN_SAMPLES * self.terrain.spacing_m
+        behind_m = away_m[is_seen] - hides_m
         is_hidden = np.zeros(len(away_m), dtype=bool)
         is_hidden[is_seen] = hit_m < behind_m
         return GroundPixels(
@@ -249,7 +257,7 @@ class GroundView:
     def _rises(
         self, azimuth_rad: Float64Array, easting_m: Float64Array, northing_m: Float64Array
     ) -> tuple[Float64Array, Float64Array]:
-        """Return the ground's rise (N,) a metre along rays, and a metre to their right."""
+        """Return the ground's rise (N,) along rays, and to their right."""
         east, north = ground_slope(ground_of(self.terrain), easting_m, northing_m).T
         sine, cosine = np.sin(azimuth_rad), np.cos(azimuth_rad)
         return east * sine + north * cosine, east * cosine - north * sine
@@ -262,7 +270,7 @@ class GroundView:
         slope: Float64Array,
         sd_m: Float64Array,
     ) -> Float64Array:
-        """Return how much more steeply the ground rises than rays (N,), in the mean.
+        """Return how much more steeply than rays (N,) the ground rises.
 
         ``sd_m`` (N,) is the standard error of a ray's height over the place where it meets the
         ground, and ``slope`` the slope right there, which stands in where the ray beside it shows
@@ -287,7 +295,7 @@ def _finite_pixels(column_px: ArrayLike, row_px: ArrayLike) -> tuple[Float64Arra
     column, row = (np.asarray(one, dtype=np.float64) for one in (column_px, row_px))
     if column.ndim != 1 or column.shape != row.shape:
         raise InputError(
-            f"columns are {column.shape} and rows {row.shape}; expected as many of each, (N,)"
+            f"columns are {column.shape} and rows {row.shape}; expected equally many, (N,)"
         )
     off = ~np.isfinite(column + row)
     if off.any():

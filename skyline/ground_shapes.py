@@ -1,7 +1,7 @@
 """Shapes of a photo on the ground, and shapes of the map in a photo.
 
-Between their vertices lines follow the ground: those of a photo are cut into pieces of a few
-pixels, and those of the map into pieces as long as the terrain model's samples are apart.
+Between their vertices, lines follow the ground: lines of a photo are cut into pieces of a few
+pixels, lines of the map into pieces as long as the spacing of the terrain model.
 """
 
 import itertools
@@ -24,10 +24,10 @@ _STEP_PX = 4.0
 _MOST_PIECES = 5000
 """Most pieces of a ring of the map; a longer one is cut more coarsely."""
 _CORRELATED = 1000
-"""Most places whose height errors are told apart; of more, neighbours are taken together."""
+"""Most places with height errors of their own; among more, neighbours share one."""
 _JUMP = 1.5
 """Ratio of the distances of two neighbouring points from which on no slope joins them. On level
-ground, 4 pixels change the distance so much only within about a degree of the horizon."""
+ground, 4 pixels change the distance this much only within about a degree of the horizon."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +45,7 @@ class Jump:
     near_m: float
     """Horizontal distance from the camera to the near ground."""
     far_m: float
-    """And to the ground behind it."""
+    """Horizontal distance from the camera to the ground behind it."""
     column_px: float
     row_px: float
 
@@ -58,15 +58,15 @@ class GroundShape:
     rings: tuple[GroundPoints, ...]
     """Points of each ring, which follow the ground; a polygon's are not closed."""
     is_vertex: tuple[BoolArray, ...]
-    """Which of them are drawn vertices."""
+    """Which points are drawn vertices."""
     length: Measure | None = None
-    """Metres, level; of a line, or around a polygon. None for a point."""
+    """Level length in metres of a line, or around a polygon. None for a point."""
     slope_length_m: float | None = None
-    """Metres along the slope."""
+    """Length in metres along the slope."""
     area: Measure | None = None
-    """Square metres, level; None for a point and a line."""
+    """Level area in square metres; None for a point and a line."""
     jump: Jump | None = None
-    """The widest jump, which lengths and areas hold; None if the ground goes on everywhere."""
+    """The widest jump, which counts in lengths and areas; None if the ground is continuous."""
 
     @property
     def vertices(self) -> GroundPoints:
@@ -84,7 +84,7 @@ class PhotoShape:
     """Points of each ring, which follow the ground; a polygon's are closed."""
 
     def parts(self, width_px: int, height_px: int) -> list[tuple[Float64Array, bool]]:
-        """Return the parts within a picture, columns and rows (V, 2), and which are hidden.
+        """Return the parts (V, 2) within a picture, and which are hidden.
 
         A point is a part of one vertex.
         """
@@ -164,7 +164,7 @@ def _refuse_sky(shape: Shape, points: GroundPoints, is_vertex: BoolArray) -> Non
 
 
 def _positions(ring: Float64Array, step: float, is_closed: bool) -> Float64Array:
-    """Return positions along a ring: whole numbers are vertices, others lie between them."""
+    """Return positions along a ring; whole numbers are vertices."""
     ends = np.concatenate([ring, ring[:1]]) if is_closed else ring
     length = np.hypot(*np.diff(ends, axis=0).T)
     pieces = np.maximum(np.ceil(length / step), 1.0).astype(int)
@@ -174,7 +174,7 @@ def _positions(ring: Float64Array, step: float, is_closed: bool) -> Float64Array
 
 
 def _widest_jump(found: GroundShape, positions: Sequence[Float64Array]) -> Jump | None:
-    """Return the jump with the greatest ratio of its distances, if it is one."""
+    """Return the jump with the greatest ratio of distances; None without one."""
     widest, most = None, _JUMP
     for ring, drawn, at in zip(found.rings, found.shape.rings, positions, strict=True):
         before_m, after_m = ring.distance_m, np.roll(ring.distance_m, -1)
@@ -233,7 +233,7 @@ class _Measured:
         self._pixel_sd_px = errors.pixel_sd_px
         middle = (np.mean(found.rings[0].easting_m), np.mean(found.rings[0].northing_m))
         self.scale = float(frame.scale(easting_m=middle[0], northing_m=middle[1]))
-        """Metres of the map a metre of ground."""
+        """Metres on the map for a metre of ground."""
 
     def length(self) -> Measure:
         """Return the level length."""

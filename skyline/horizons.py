@@ -40,7 +40,7 @@ _LEAST_STEPS = 8
 _SHOWN = 5
 """Places that a notebook shows, and ids that an error names."""
 _NAMED = 10
-"""Most places whose lines a legend tells apart: Matplotlib's colours repeat after ten."""
+"""Most places that a legend can tell apart: Matplotlib's colours repeat after ten."""
 _MISSING = ("None", "nan", "<NA>")
 """Ids that are missing, as Python, NumPy and pandas print them."""
 _DIMS = {0: (), 1: ("point",), 2: ("y", "x")}
@@ -56,7 +56,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class LocalHorizons:
-    """Horizons of places in A equal steps of azimuth.
+    """The horizons of places, in A equal steps of azimuth.
 
     The places have the shape ``...`` of the longitudes and latitudes that were given: none for two
     numbers, (N,) for two lists, (R, C) for a grid. As in an array, ``horizons[2]`` is the third
@@ -81,9 +81,9 @@ class LocalHorizons:
         Elevation angle up to which trees and houses may rise, never below the horizon; NaN without
         a surface model.
     id : (...) str
-        The name of each place, from ``ids`` or a file of places; else empty.
+        The name of each place, from ``ids`` or a file of places; empty without one.
     crs : pyproj.CRS
-        Of the longitudes and latitudes: WGS 84, or degrees on another world than the Earth.
+        The CRS of the longitudes and latitudes: WGS 84, or degrees on another world.
     """
 
     lon: Float64Array
@@ -148,7 +148,7 @@ class LocalHorizons:
         Raises
         ------
         InputError
-            No place or several have the id, the position is not in degrees, or neither or both of
+            No place or several have the id, the position is not in degrees, or both or neither of
             them are given.
         """
         if place_id is None and lon is not None and lat is not None:
@@ -166,7 +166,7 @@ class LocalHorizons:
         return self._taken(found[0])
 
     def _nearest(self, lon: float, lat: float) -> int:
-        """Return the number of the place nearest to a position."""
+        """Return the index of the place nearest to a position."""
         refuse_text(lon=lon, lat=lat)
         if np.size(lon) != 1 or np.size(lat) != 1 or not are_degrees(lon, lat):
             raise InputError(
@@ -179,7 +179,7 @@ class LocalHorizons:
         return int(np.argmin(geod.inv(*at, self.lon.ravel(), self.lat.ravel())[2]))
 
     def _taken(self, numbers: Any) -> LocalHorizons:
-        """Return places by their numbers, row by row, in the numbers' shape."""
+        """Return places by their indices, in the shape of the indices."""
         columns = self.ravel()._columns()
         return replace(self, **{name: values[numbers] for name, values in columns.items()})
 
@@ -210,7 +210,7 @@ class LocalHorizons:
     def sun_above(self, day: date | str) -> list[Interval]:
         """Return when part of the sun's disc is above the place's horizon.
 
-        Of several places take one first, as in ``horizons[0].sun_above(day)``.
+        If there are several places, take one first: ``horizons[0].sun_above(day)``.
 
         Parameters
         ----------
@@ -235,7 +235,7 @@ class LocalHorizons:
     def moon_above(self, day: date | str) -> list[Interval]:
         """Return when part of the moon's disc, dark or lit, is above the place's horizon.
 
-        Parameters, times and errors as `sun_above`. The day is the sun's.
+        Parameters, times and errors are as in `sun_above`; the day is the sun's.
         """
         return self._above(Body.MOON, day)
 
@@ -263,10 +263,10 @@ class LocalHorizons:
         )
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the horizon over azimuth, of several places a line each; return the axes.
+        """Draw each place's horizon as a line over azimuth; return the axes.
 
-        ``ax`` are axes of matplotlib to draw on; by default a new figure is made. A warning names
-        an id that no installed font draws; the title then lacks it.
+        ``ax`` are Matplotlib axes to draw on; by default a new figure is made. An id that no
+        installed font can draw is left out of the title, and a warning names it.
         """
         if ax is None:
             from matplotlib import pyplot  # noqa: PLC0415  (slow to load)
@@ -308,11 +308,11 @@ class LocalHorizons:
 
     @property
     def _place(self) -> str:
-        """One place in words."""
+        """Describe one place in words."""
         return f"lon {self.lon:.5f}, lat {self.lat:.5f}, eye {self.eye_elevation_m:.0f} m"
 
     def _labels(self) -> list[str | int]:
-        """Return what tells places apart, row by row: their ids, or else their numbers."""
+        """Return the places' labels: their ids, or else their indices."""
         return list(np.ravel(self.id).tolist() if self.has_ids else range(self.size))
 
     def __repr__(self) -> str:
@@ -347,8 +347,8 @@ class LocalHorizons:
         Returns
         -------
         pandas.Series
-            ``horizon_elevation`` in degrees by ``horizon_azimuth`` in degrees from true north; of
-            several places by ``place``, an id or number, and ``horizon_azimuth``:
+            ``horizon_elevation`` in degrees by ``horizon_azimuth`` in degrees from true north.
+            Several places are indexed by ``place``, an id or number, and ``horizon_azimuth``:
             ``to_series().unstack("place")`` has a column for each.
 
         Raises
@@ -457,7 +457,7 @@ class LocalHorizons:
 
 
 def _drawable(names: Sequence[str]) -> list[tuple[str, tuple[str, ...]]]:
-    """Return names with fonts that draw them; a name without a font is "", and warned of."""
+    """Return names, or "" with a warning where no font draws one."""
     from skyline.fonts import fonts_for  # noqa: PLC0415  (slow to load)
 
     drawable = []
@@ -471,16 +471,16 @@ def _drawable(names: Sequence[str]) -> list[tuple[str, tuple[str, ...]]]:
 def with_photo(
     horizons: LocalHorizons, azimuth_deg: Float64Array, elevation_deg: Float64Array
 ) -> tuple[LocalHorizons, float]:
-    """Return one place's horizon with a photo's skyline in it, and the photo's share of the turn.
+    """Return a horizon with a photo's skyline in it, and its share.
 
     Parameters
     ----------
     horizons : LocalHorizons
         One place.
     azimuth_deg, elevation_deg : (N,) float64
-        The photo's skyline, from true north. Azimuths within half a step of a point of it, or of a
-        gap between two columns, have its elevation and no distance; the others keep the horizon
-        that they have.
+        The photo's skyline, from true north. Azimuths within half a step of one of its points, or
+        between two of its columns, take its elevation and lose their distance; the others keep
+        their horizon.
     """
     order = np.argsort(azimuth_deg % 360.0)
     known_deg, up_deg = azimuth_deg[order] % 360.0, elevation_deg[order]
@@ -529,20 +529,20 @@ def horizon(  # noqa: PLR0913  (independent conditions)
     surface : path, paths, DataArray or HeightField, optional
         A surface or canopy model: the height to which trees and houses may rise above the horizon.
     summit_within_m : float, optional
-        Move each eye to the highest point within this distance. By default eyes stay in place, and
-        an eye within one sample's spacing of a summit of the model is raised to its height; 0
-        leaves such an eye on the slope.
+        Move each eye to the highest point within this distance. By default eyes stay in place, but
+        an eye within one sample's spacing of a summit of the model is raised to the summit's
+        height; 0 leaves it on the slope.
     ids : array_like of str, optional
-        Names of the places, in their shape.
+        Names of the places, in the same shape.
 
     Raises
     ------
     OffMapError
         A place is off the map or on a hole, or an eye height is below 0.
     InputError
-        No place is given, coordinates are no numbers or do not fit together, the ids are more or
-        fewer than the places, the step does not divide a full turn, or the surface does not cover
-        the DEM.
+        No place is given, coordinates are not numbers or have shapes that do not fit together,
+        there are more or fewer ids than places, the step does not divide a full turn, or the
+        surface does not cover the DEM.
     ContextError
         No OpenGL context can be created.
     """
@@ -565,7 +565,7 @@ def horizon(  # noqa: PLR0913  (independent conditions)
 
 
 def _names_of(ids: ArrayLike) -> NDArray[np.str_]:
-    """Return ids as texts; one that is missing, as in a table of pandas, is empty."""
+    """Return ids as texts; missing ones, as in pandas, are empty."""
     given = np.asarray(ids, dtype=object)
     names = [
         "" if not isinstance(one, str) and str(one) in _MISSING else str(one)
@@ -624,7 +624,7 @@ def horizons_of(
 
 
 def steps_a_turn(step_deg: float) -> int:
-    """Return the steps in a turn; raises `InputError` unless they are whole."""
+    """Return the number of steps in a turn, or raise `InputError`."""
     most = MAX_WIDTH // 2
     is_number = isinstance(step_deg, Real)
     steps = round(360.0 / step_deg) if is_number and 0.0 < step_deg <= 360.0 else 0

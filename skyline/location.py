@@ -1,7 +1,4 @@
-"""Locating photos without a store.
-
-The photos or the user name the area in which they are searched.
-"""
+"""Locating photos without a store."""
 
 from __future__ import annotations
 
@@ -22,8 +19,8 @@ from skyline.photo.photo import read_noted_place
 from skyline.terrain.dem import Dem
 
 _NEEDED_KM = 5.0
-"""Radius of the area that a cached store must have round a photo's own position, so that photos
-taken within some kilometres share a store."""
+"""Radius round a photo's own position that a cached store must cover. Photos taken within some
+kilometres thus share a store."""
 
 _TOGETHER_KM = 50.0
 """Greatest extent of the positions of photos that are located together."""

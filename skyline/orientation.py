@@ -72,7 +72,7 @@ if TYPE_CHECKING:
 RIGHT_DEG = 1.0
 """Largest error of a heading that is right."""
 DEFAULT_POSITION_SD_M = 50.0
-"""For a position that a person reads off a map, or a phone notes between cliffs."""
+"""The error of a position that a person reads off a map, or that a phone notes between cliffs."""
 LEAST_CONFIDENCE = 0.85
 """Least confidence of a heading that is trusted. It was chosen on the Sierra, Rofental and Everest:
 none of 169 photos from other regions reaches it, and 2 % of the headings that reach it are wrong.
@@ -101,11 +101,11 @@ class HeadingSearch:
     takeoff_m: float = 200.0
     """Usual distance of a drone from its take-off; it must stay in sight of its pilot."""
     headings: int = 48
-    """Fits that are refined: the best one of each of so many headings."""
+    """Fits that are refined: the best one of each of this many headings."""
     places: int = 32
-    """Fits that are refined besides: the best ones of all."""
+    """Further fits that are refined: the best ones of all."""
     separation_m: float = 15.0
-    """Fits nearer to a better one than this, that look its way, are the same."""
+    """Fits that are nearer than this to a better one and look its way are the same."""
     turn_deg: float = 4.0
     """Fits look the same way within this angle."""
     apart_deg: float = 10.0
@@ -124,25 +124,25 @@ _EFFORT = Effort(
 
 @dataclass(frozen=True, slots=True)
 class _Doubts:
-    """Limits from which the best pose at a known place is doubtful."""
+    """Limits beyond which the best pose at a known place is doubtful."""
 
     eye_sds: float = 3.0
-    """Eyes are the same if their heights differ by less than so many deviations of the terrain
-    model's heights."""
+    """Eyes are the same if their heights differ by less than this many standard deviations of the
+    terrain model's heights."""
     eye_share: float = 0.2
     """Eyes are also the same if their heights differ by less than this share of the height above
     the ground, since distances of the ground grow by this share."""
     eye_cost: float = TEMPERATURE * math.log(LEAST_CONFIDENCE / (1.0 - LEAST_CONFIDENCE))
-    """An eye of another height whose cost is higher by less than this makes the best one
+    """An eye at another height whose cost is higher by less than this makes the best one
     doubtful."""
     far_sds: float = 4.0
-    """A pose farther from the known place than so many standard deviations is of another place.
-    """
+    """A pose farther from the known place than this many standard deviations belongs to another
+    place."""
     named_cost: float = 20.0
     """A heading whose cost is higher by less than this is named in a refusal."""
     compass_sds: float = 0.5
-    """A compass that is off by more than so many of its standard deviations is named: 10 degrees
-    from true north, 15 from magnetic north."""
+    """A compass that is off by more than this many of its standard deviations is mentioned: 10
+    degrees from true north, 15 from magnetic north."""
 
 
 _DOUBTS = _Doubts()
@@ -171,7 +171,7 @@ class Orientation:
     refusal : str or None
         Why the pose cannot be trusted; None if it can.
     lacks_confidence_only : bool
-        Whether nothing speaks against the pose but that its confidence is too small.
+        Whether the low confidence is the only reason not to trust the pose.
     name : str
         The photo's file; empty for a skyline.
     """
@@ -215,7 +215,7 @@ class Orientation:
 
     @property
     def heading_off_deg(self) -> float | None:
-        """How far the pose's heading is clockwise of the one that the photo notes, degrees.
+        """How far the pose's heading is clockwise of the photo's, degrees.
 
         None without a pose, or if the photo notes no heading.
         """
@@ -364,9 +364,9 @@ class Orienter(Closeable):
         return stand_where_possible(self.terrain, around.real, around.imag)[0]
 
     def _retriever_at(self, elevation_m: float | None) -> Retriever:
-        """Return a retriever of poses of eyes at an elevation.
+        """Return a retriever of poses for eyes at an elevation.
 
-        By default they stand on the ground.
+        By default the eyes stand on the ground.
         """
         eyes = self._around(self._position_sd_m)
         if elevation_m is not None:
@@ -385,7 +385,7 @@ class Orienter(Closeable):
         return Standing.of_noted(noted, ground)
 
     def _relief_m(self, away_m: float) -> float:
-        """Return the ground's rms height on a ring above the place."""
+        """Return the ground's rms height above the place, on a ring."""
         ground_m = self._around(away_m).eye_elevation_m - DEFAULT_EYE_HEIGHT_M
         return math.sqrt(np.mean((ground_m - self._ground_m) ** 2))
 
@@ -422,8 +422,8 @@ class Orienter(Closeable):
         Raises
         ------
         InputError
-            The photo has no usable skyline, or is a panorama or a fisheye of unknown field of view,
-            or the greatest error is not above 0, at most 180.
+            The photo has no usable skyline, is a panorama or a fisheye of unknown field of view, or
+            the greatest error is not above 0 and at most 180.
         """
         narrowing = Narrowing(heading_deg=heading_deg)
         started = time.perf_counter()
@@ -491,7 +491,7 @@ class Orienter(Closeable):
     def _orientation(
         self, skyline: PhotoSkyline, rays: Rays, poses: Poses, narrowing: Narrowing
     ) -> Orientation:
-        """Return the best of poses as an orientation, refused if doubtful."""
+        """Return the best pose as an orientation, refused if doubtful."""
         if not len(poses):
             within = ""
             if narrowing.heading_deg is not None:
@@ -568,7 +568,7 @@ class Orienter(Closeable):
         )
 
     def _doubt(self, poses: Poses, pose: Pose, sure: float) -> str | None:
-        """Return the refusal of a heading of too little confidence, or None."""
+        """Return the refusal of a heading with too little confidence, or None."""
         if sure >= LEAST_CONFIDENCE:
             return None
         doubt = f"the heading has a confidence of {sure:.2f}, and {LEAST_CONFIDENCE:.2f} is needed"
@@ -604,13 +604,10 @@ def orienters(terrain: HeightField) -> Iterator[Callable[[Place], Orienter]]:
 
 
 class _RefinementByHeading(Refinement):
-    """A refinement at one place, where other headings are the rivals."""
+    """A refinement at one place, whose rivals are other headings."""
 
     def survivors(self, particles: Particles, count: int) -> Particles:
-        """Return the particles of the next round.
-
-        They are the best ones, and the best of each heading.
-        """
+        """Return the next round's particles: the best, and each heading's best."""
         ordered = particles.best(len(particles))
         standing = self.poses(ordered)
         rivals = standing.suppress_non_maxima(_SEARCH.rivals, np.inf, _SEARCH.apart_deg)
@@ -641,7 +638,8 @@ def orient(  # noqa: PLR0913  (independent knowledge)
     Raises
     ------
     InputError
-        The photo notes no position and none is given, or half of one, or as `Orienter.orient`.
+        There is no position, in the photo or as given, or only half of one; or as
+        `Orienter.orient`.
     OffMapError
         The place is off the map or on a hole.
     """

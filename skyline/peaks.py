@@ -1,4 +1,4 @@
-"""Named summits: gazetteers of them, and those that an eye sees.
+"""Named summits: reading gazetteers, and finding which summits an eye sees.
 
 The places of a gazetteer are accurate to about a hundred metres, and a grid of heights cuts summits
 off. A peak therefore stands at the highest sample near its named place, with the terrain's height
@@ -33,7 +33,7 @@ from skyline.terrain.summits import prominence_m
 from skyline.terrain.viewpoints import Viewpoints, is_on_map
 
 SUMMIT_RADIUS_M = 150.0
-"""Greatest distance of a summit from its named place; terrain as near to a summit does not hide
+"""Greatest distance of a summit from its named place; terrain this near to a summit does not hide
 it."""
 UNDERFOOT_SAMPLES = 0.35
 """Ground nearer than this many samples hides nothing: the model is too coarse there."""
@@ -50,7 +50,7 @@ _NUMBER = r"[0-9]+(?:\.[0-9]+)?"
 _WITH_UNIT = re.compile(rf"([-+]?{_NUMBER})\s?([a-z]*)")
 _FEET_INCHES = re.compile(rf"""({_NUMBER})['\u2019\u2032](?:\s?({_NUMBER})["\u201d\u2033])?""")
 _Point = tuple[str, float, float, object]
-"""Name, coordinates and height of a peak; the height as it is in the file, None if it is empty."""
+"""Name, coordinates and height of a peak. The height is as in the file, or None."""
 _COLUMNS = (("name", "lon", "lat"), ("name", "easting", "northing"))
 _HEIGHTS = dict.fromkeys(("ele", "elevation", "elevation_m", "height"), "height_m")
 S = TypeVar("S", bound="Sighting")
@@ -59,8 +59,8 @@ _FROM_RIGHT = ("R", "AL")
 """Bidirectional classes of letters that are written from right to left."""
 _log = logging.getLogger(__name__)
 _EXPECTED = (
-    "expected a gazetteer: columns `name,lon,lat` or `name,easting,northing`, maybe `height_m`, or "
-    "GeoJSON (.geojson, .json) of points in degrees with the property `name`"
+    "expected a gazetteer: columns `name,lon,lat` or `name,easting,northing`, and optionally "
+    "`height_m`, or GeoJSON (.geojson, .json) of points in degrees with the property `name`"
 )
 
 
@@ -103,7 +103,7 @@ def read_peaks(path: str | Path, frame: Frame) -> Peaks:
     MissingFileError
         There is no such file.
     InputError
-        The columns are wrong, a coordinate is no number, no point has a name, or a name is not
+        The columns are wrong, a coordinate is not a number, no point has a name, or a name is not
         UTF-8.
     """
     names, (first, second, height_m), is_lonlat = _read(path)
@@ -143,7 +143,7 @@ def check_on_map(peaks: Peaks, terrain: HeightField) -> None:
 def find_place(path: str | Path, name: str) -> tuple[float, float]:
     """Return longitude and latitude of a place that a gazetteer names.
 
-    Capitals do not count.
+    Case is ignored.
 
     Raises `InputError` if no place or more than one has the name, or if the gazetteer is in a
     frame's metres; other errors are raised as by `read_peaks`.
@@ -165,9 +165,9 @@ def find_place(path: str | Path, name: str) -> tuple[float, float]:
 
 
 def _read(path: str | Path) -> tuple[tuple[str, ...], Float64Array, bool]:
-    """Read a gazetteer's names, and its coordinates with heights, (3, N).
+    """Read a gazetteer's names, and its coordinates with heights (3, N).
 
-    The third item is whether the coordinates are in degrees. Names are printable.
+    The third result says whether the coordinates are in degrees. Names are printable.
     """
     is_lonlat = True
     if Path(path).suffix.lower() in GEOJSON:
@@ -240,7 +240,7 @@ def _check_degrees(path: str | Path, read: Any) -> None:
 def _named_point(feature: Any) -> _Point | None:
     """Return a feature's name, longitude, latitude and ``ele``.
 
-    Returns None if the feature is no named point.
+    Returns None if the feature is not a named point.
     """
     try:
         properties = feature["properties"]
@@ -256,7 +256,7 @@ def _named_point(feature: Any) -> _Point | None:
 
 
 def height_of_ele(ele: object) -> float:
-    """Return the metres in OpenStreetMap's ``ele``; NaN if it is no height.
+    """Return the metres of OpenStreetMap's ``ele``; NaN if it is no height.
 
     A number has a decimal point and no separator of thousands. It is in metres, or in the unit that
     follows it after an optional space; feet and inches are also written as 14505'3" (wiki, Key:ele
@@ -294,7 +294,7 @@ class Sighting:
     def label(self) -> str:
         """The name, with the height if the gazetteer has one.
 
-        Marks enclose a name that is written from right to left, so that the height stays behind it.
+        Marks enclose a name that is written from right to left, so that the height stays after it.
         """
         is_turned = any(bidirectional(letter) in _FROM_RIGHT for letter in self.name)
         name = f"{_FROM_LEFT}{self.name}{_FROM_LEFT}" if is_turned else self.name
@@ -354,7 +354,7 @@ def aimed_at(
 def _is_seen(
     terrain: HeightField, eye: Viewpoints, sighting: Sighting, curvature: Curvature
 ) -> bool:
-    """Return whether no terrain before a peak stands higher.
+    """Return whether no terrain in front of a peak stands higher.
 
     A peak on which the eye stands is not seen.
     """
@@ -391,7 +391,7 @@ def summit_near(
 ) -> tuple[float, float, float] | None:
     """Return easting, northing and height of the highest sample near a place.
 
-    It is None off the terrain, and where there is no sample.
+    Returns None off the terrain, and where there is no sample.
     """
     row, col = (float(at) for at in terrain.to_grid(easting_m=easting_m, northing_m=northing_m))
     if not (0.0 <= row <= terrain.rows - 1 and 0.0 <= col <= terrain.cols - 1):
@@ -436,10 +436,10 @@ def ground_elevation_deg(
     grid_rad: Float64Array,
     distance_m: Float64Array,
 ) -> Float64Array:
-    """Return the ground's elevation angles (K, D) along rays.
+    """Return the ground's elevation angles (K, D) along one eye's rays.
 
-    The rays are of one eye. The angle is -90 without data. The rays have grid azimuths (K,); the
-    horizontal distances are (D,) or (K, D).
+    The rays have grid azimuths (K,); the horizontal distances are (D,) or (K, D). The angle is -90
+    without data.
     """
     ground_m = terrain.height_at(
         easting_m=eye.easting_m[0] + distance_m * np.sin(grid_rad)[:, np.newaxis],

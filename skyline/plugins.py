@@ -1,7 +1,7 @@
 """Plugins: functions and classes that installed packages offer by name.
 
-Skyline's own are among them. A package offers one with a line in its ``pyproject.toml``, an entry
-point of a group of Skyline's.
+Skyline's own are among them. A package offers one with a line in its ``pyproject.toml``: an entry
+point in one of Skyline's groups.
 """
 
 from importlib.metadata import EntryPoint, entry_points

@@ -35,7 +35,7 @@ _CORNER = 0.5
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ControlPoints:
-    """N points of which the pixel and the place are known."""
+    """N points whose pixel and place are known."""
 
     path: Path
     names: tuple[str, ...]
@@ -139,9 +139,9 @@ def write_control_points(
 ) -> None:
     """Write control points with their residuals.
 
-    ``residual_px`` (N, 2) is where a point appears from the pose, less where it was marked: to the
-    right, and down. A point that is not used is disabled in QGIS. Raises `InputError` for another
-    suffix, and where the file cannot be written.
+    ``residual_px`` (N, 2) is where a point appears from the pose minus where it was marked: right,
+    and down. A point that is not used is disabled in QGIS. Raises `InputError` for another suffix,
+    and where the file cannot be written.
     """
     check_suffix(path, POINT_FILES)
     size_px = np.round(np.linalg.norm(residual_px, axis=1), 3)

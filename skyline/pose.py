@@ -1,4 +1,4 @@
-"""Poses of a camera: on the map, in records, and in columns."""
+"""Camera poses: on the map, in records, and in columns."""
 
 import math
 import sys
@@ -45,7 +45,7 @@ _WRITTEN = (
     "confidence_1km", "refined", "beyond_share", "residual_deg", "terrain_share", "skyline_m",
     "covariance",
 )  # fmt: skip
-"""What `Pose.to_dict` writes."""
+"""The fields that `Pose.to_dict` writes."""
 _NEEDED = ("lon", "lat", "heading_deg", "fov_deg")
 """What a record of a pose must have for `NotedPose.from_dict`."""
 _OPTIONAL = ("pitch_deg", "roll_deg", "distortion", "eye_elevation_m", "eye_height_m")
@@ -105,20 +105,19 @@ class Pose:
         with the field of view; and the distortion of a lens, unless it was taken for 0, or the
         wander of a panorama.
     beyond_share : float or None
-        Share of the photo's skyline in which terrain past the elevation model's edge may rise
-        above the model's skyline.
+        Share of the photo's skyline above which terrain past the elevation model's edge may rise.
     residual_deg : float or None
         Root mean square difference in elevation between the photo's skyline and the rendered one,
         over the part of the photo that shows terrain.
     terrain_share : float or None
-        Share of the photo's skyline that shows terrain, as against trees or houses.
+        Share of the photo's skyline that shows terrain rather than trees or houses.
     skyline_m : float or None
         Harmonic mean distance of the rendered skyline, in the photo's columns.
     rank : int or None
         Rank among the candidates of its search, 1 for the best; None for a pose that no search
         found. A pose that was fitted better than a candidate, in its place, has its rank.
     area : int
-        Number of the elevation model, in whose frame the pose is, among `Matcher.areas`.
+        Index in `Matcher.areas` of the elevation model in whose frame the pose is.
     """
 
     lon: float
@@ -159,22 +158,22 @@ class Pose:
 
     @property
     def name(self) -> str:
-        """Name among the photo's poses, as in "candidate 2"."""
+        """Name among the photo's poses, such as "candidate 2"."""
         if self.rank is not None:
             return f"candidate {self.rank}"
         return "the fitted pose" if self.refined else "the pose set by hand"
 
     @property
     def title(self) -> str:
-        """The name in captions: "the best candidate", or as `name`."""
+        """Name in captions: "the best candidate", or as `name`."""
         return "the best candidate" if self.rank == 1 else self.name
 
     @property
     def radius_m(self) -> float | None:
         """Radius of the circle in which the camera stood with probability 0.68.
 
-        None if unknown. The radius follows from a round normal distribution with the covariance's
-        mean variance, if the candidate is right.
+        None if unknown. It assumes that the candidate is right, and a round normal distribution
+        with the covariance's mean variance.
         """
         if self.covariance_m2 is None:
             return None
@@ -201,10 +200,10 @@ class Pose:
         )
 
     def covariance_or_assumed(self, photo: PhotoSkyline) -> Float64Array:
-        """Return `covariance` (P, P), or where it is None the assumed one.
+        """Return the covariance (P, P); if it is None, an assumed one.
 
-        A person wrote such a pose: see `skyline.pose_errors.AssumedErrors`. The size and the
-        projection of ``photo`` count.
+        A pose without one was written by a person: see `skyline.pose_errors.AssumedErrors`. Only
+        the size and the projection of ``photo`` count.
         """
         if self.covariance is None:
             return ASSUMED.covariance(self.camera(photo))
@@ -215,7 +214,7 @@ class Pose:
         return "" if self.covariance is not None else ASSUMED.in_words(self.camera(photo))
 
     def distance_m(self, other: "Pose") -> float:
-        """Return the horizontal distance of another pose, metres."""
+        """Return the horizontal distance to another pose, metres."""
         if self.area != other.area:
             return geodesic_m(self.lon, self.lat, other.lon, other.lat)
         return math.hypot(self.easting_m - other.easting_m, self.northing_m - other.northing_m)
@@ -227,16 +226,16 @@ class Pose:
     def is_same_answer(self, other: "Pose") -> bool:
         """Return whether another pose is the same answer.
 
-        The same answer is near, and looks the same way. A confidence is of an answer.
+        It is if it lies near and looks the same way. Confidences belong to answers.
         """
         near = self.distance_m(other) <= RIGHT_WITHIN_M
         return near and self.turn_deg(other) <= SAME_VIEW_DEG
 
     @property
     def residual_in_words(self) -> str:
-        """The difference of a fitted pose's two skylines, in words.
+        """How far a fitted pose's two skylines are apart, in words.
 
-        It is empty for other poses.
+        Empty for other poses.
         """
         if self.residual_deg is None or self.terrain_share is None:
             return ""
@@ -250,16 +249,13 @@ class Pose:
     def to_dict(self) -> dict[str, Any]:
         """Return the pose's record, as ``skyline match --json`` prints it.
 
-        A number that is not finite, which JSON cannot hold, is None, as is what is not known.
+        Unknown values are None, and so are numbers that are not finite, which JSON cannot hold.
         `NotedPose.from_dict` reads the record.
         """
         return {name: _finite(getattr(self, name)) for name in _WRITTEN}
 
     def cells(self) -> list[str]:
-        """Return the values of `COLUMNS` as text.
-
-        They are empty where a value is not known.
-        """
+        """Return the values of `COLUMNS` as text; empty where unknown."""
         values = [(getattr(self, name), form) for name, form in COLUMNS.values()]
         return [
             "" if value is None or not math.isfinite(value) else format(value, form)
@@ -269,7 +265,7 @@ class Pose:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NotedPose:
-    """A pose as it was written down, not yet on a terrain.
+    """A pose as written down, not yet placed on a terrain.
 
     Attributes
     ----------
@@ -308,17 +304,17 @@ class NotedPose:
         Parameters
         ----------
         record : mapping
-            It needs ``lon``, ``lat``, ``heading_deg`` and ``fov_deg``. Null stands for a value that
-            is not known; names that a `NotedPose` does not have are passed over.
+            It needs ``lon``, ``lat``, ``heading_deg`` and ``fov_deg``. Null stands for an unknown
+            value; names that a `NotedPose` does not have are ignored.
         projection : Projection
             The projection of the photo. A record need not have it.
         source : str
-            What the record is from, for errors.
+            Where the record comes from, for errors.
 
         Raises
         ------
         InputError
-            The record is no pose, is of another projection, or has values that no camera of the
+            The record is not a pose, has another projection, or has values that no camera of the
             projection has.
         """
         if not isinstance(record, Mapping):
@@ -360,7 +356,7 @@ class NotedPose:
 def _covariance_in(record: Mapping[str, Any], source: str) -> tuple[tuple[float, ...], ...] | None:
     """Return a record's covariance; None where it is missing or empty.
 
-    Raises `InputError` unless it has as many columns as rows, and as many as a pose has unknowns.
+    Raises `InputError` unless it is square and has a row for each unknown of a pose.
     """
     rows = record.get("covariance")
     if not rows:
@@ -370,16 +366,16 @@ def _covariance_in(record: Mapping[str, Any], source: str) -> tuple[tuple[float,
     )
     if not is_square or len(rows) not in _UNKNOWNS:
         raise InputError(
-            f"{source}: covariance is {str(rows)[:40]}; expected as many lists of as many numbers, "
-            f"{', '.join(map(str, _UNKNOWNS))}, or none"
+            f"{source}: covariance is {str(rows)[:40]}; expected a square matrix of "
+            f"{', '.join(map(str, _UNKNOWNS))} rows, as lists, or none"
         )
     return tuple(tuple(_number(value, "covariance", source) for value in row) for row in rows)
 
 
 def noted_projection(record: Mapping[str, Any], source: str) -> Projection | None:
-    """Return a record's projection; None where it has none.
+    """Return a record's projection; None if it has none.
 
-    Raises `InputError` for a projection that is none.
+    Raises `InputError` for an unknown projection.
     """
     name = record.get("projection")
     try:
@@ -412,7 +408,7 @@ def _number(value: Any, name: str, source: str) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ellipse:
-    """The ellipse that contains the true position, 95 % of the time.
+    """The ellipse that contains the true position 95 % of the time.
 
     It assumes normal errors.
     """
@@ -425,7 +421,7 @@ class Ellipse:
 
     @classmethod
     def of(cls, candidate: Pose) -> "Ellipse | None":
-        """Return a candidate's ellipse, None if its covariance is unknown."""
+        """Return a candidate's ellipse; None if its covariance is unknown."""
         if candidate.covariance_m2 is None:
             return None
         major_m, minor_m, azimuth = map(float, ellipse_axes(np.array(candidate.covariance_m2)))
@@ -442,10 +438,10 @@ class Ellipse:
 
 
 def ellipse_axes(covariance_m2: Float64Array) -> tuple[Float64Array, Float64Array, Float64Array]:
-    """Return the ellipses that contain true positions 95 % of the time.
+    """Return the axes of the 95 % ellipses of positions.
 
-    Covariances (..., 2, 2) are of easting and northing. The results (...) are the long and the
-    short semi-axis, metres, and the long one's grid azimuth, radians, in [0, pi).
+    Covariances (..., 2, 2) are of easting and northing, square metres. The results (...) are the
+    long and the short semi-axis, metres, and the grid azimuth of the long one, radians, in [0, pi).
     """
     variance, axes = np.linalg.eigh(covariance_m2)
     minor_m, major_m = np.moveaxis(np.sqrt(_CHI_SQUARE_95 * np.maximum(variance, 0.0)), -1, 0)
@@ -502,12 +498,12 @@ class FitFigures(Rows):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sites(Rows):
-    """Where M poses are that were found in areas of several frames."""
+    """The locations of M poses found in areas of several frames."""
 
     area: IntArray
     """(M,) intp. As in `Pose`."""
     geocentric_m: Float64Array
-    """(M, 3) float64. See `Frame.geocentric_m`; by it poses of different areas are compared."""
+    """(M, 3) float64. See `Frame.geocentric_m`; used to compare poses of different areas."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -543,9 +539,9 @@ class Poses(Rows):
     confidence_1km: Float64Array | None = None
     """(M,) float64. Probability that a pose is right within 1 km; None if not estimated."""
     fits: FitFigures | None = None
-    """Figures of poses that were fitted by rendering; None for others."""
+    """Figures of the poses, if they were fitted by rendering; else None."""
     sites: Sites | None = None
-    """Areas of poses that were found in several; None for poses of one frame."""
+    """Areas of the poses, if they were found in several; None for poses of one frame."""
 
     @classmethod
     def of(cls, pose: Pose) -> "Poses":
@@ -580,7 +576,7 @@ class Poses(Rows):
     def sited(self, area: IntArray, frames: Sequence[Frame]) -> "Poses":
         """Return the poses with their sites.
 
-        ``area`` (M,) are numbers of ``frames``.
+        ``area`` (M,) are indices of ``frames``.
         """
         geocentric_m = np.zeros((len(self), 3))
         for number, frame in enumerate(frames):
@@ -591,7 +587,7 @@ class Poses(Rows):
     def on_map(self, *frames: Frame) -> tuple[Pose, ...]:
         """Return each pose, best first, on the map.
 
-        ``frames`` are those of the areas, by number.
+        ``frames`` are the frames of the areas, in order.
         """
         lon, lat, convergence_deg = np.zeros((3, len(self)))
         area = self.areas()
@@ -632,7 +628,7 @@ class Poses(Rows):
         return self._distances_from_m((slice(None), np.newaxis))
 
     def _distances_from_m(self, one: int | tuple[slice, None]) -> Float64Array:
-        """Return the distances of all poses from one, or from each in a row of its own."""
+        """Return the distances of all poses from one, or from each."""
         place = self.easting_m + 1j * self.northing_m
         apart_m = np.asarray(np.abs(place[one] - place))
         if self.sites is None:
@@ -649,9 +645,9 @@ class Poses(Rows):
     def rival_margin(self, farther_than_m: float, turn_deg: float = 360.0) -> Float64Array:
         """Return each pose's margin (M,) over its best rival.
 
-        It is the cost of the rival minus the pose's own. Rivals are the poses farther away than
-        ``farther_than_m``, and those that look more than ``turn_deg`` away. Infinite for a pose
-        without rivals.
+        The margin is the cost of the rival minus the pose's own. Rivals are the poses farther away
+        than ``farther_than_m``, and those that look more than ``turn_deg`` away. Infinite for a
+        pose without rivals.
         """
         is_same = self.are_same(farther_than_m, turn_deg)
         rival = np.where(is_same, np.inf, self.cost).min(axis=1, initial=np.inf)

@@ -24,18 +24,18 @@ class AssumedErrors:
     """Standard errors of a pose without a covariance: a person wrote it."""
 
     position_sd_m: float = 10.0
-    """Of easting and northing: as a phone in the open or a map has them."""
+    """Of easting and northing: as from a phone in the open, or a map."""
     elevation_sd_m: float = 7.0
-    """Of the eye: as the heights of a 30 m model, on whose ground the camera stands
+    """Of the eye: as the heights of a 30 m model on whose ground the camera stands
     (`skyline.terrain.heightfield.HeightField.height_sd_m`)."""
     angle_sd_deg: float = 0.5
-    """Of an angle that is written to a whole degree, 0.3 degrees, and read no better than that."""
+    """Of an angle that is written to a whole degree (0.3 degrees), and read no better than that."""
     level_pitch_sd_deg: float = 6.0
-    """Of a pitch of exactly 0: nobody measured it, and so nearly level are cameras held."""
+    """Of a pitch of exactly 0: nobody measured it, and cameras are held about this level."""
     level_roll_sd_deg: float = 3.0
     """Of a roll of exactly 0."""
     fov_sd_share: float = 0.02
-    """Of a field of view, as a share of it: a person's word for a lens. A full turn is exact."""
+    """Of a field of view, as a share of it: what people know of a lens. A full turn is exact."""
 
     def angles_deg(self, camera: Camera) -> tuple[float, float, float]:
         """Return the standard errors of heading, pitch and roll."""
@@ -79,7 +79,7 @@ class Bearings(Rows):
     """(N,) float64."""
     by_pose: Float64Array
     """(N, 2, P) float64. Derivatives of azimuth and tangent by the unknowns of
-    `skyline.pose.Pose.covariance`; 0 for the place of the eye."""
+    `skyline.pose.Pose.covariance`; 0 for the eye's position."""
     by_pixel: Float64Array
     """(N, 2, 2) float64. The same by a column to the right and a row down."""
 

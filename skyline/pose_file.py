@@ -20,15 +20,15 @@ class PoseRecord:
 
     path: Path
     content: Any
-    """Names and values, as of JSON."""
+    """Names and values, as JSON has them."""
     doubt: str = ""
     """Why the pose is not to be trusted; empty where its file does not doubt it."""
 
     @property
     def projection(self) -> Projection | None:
-        """The photo's projection; None where the record does not have it.
+        """The photo's projection; None where the record has none.
 
-        Raises `InputError` for a projection that is none.
+        Raises `InputError` for an unknown projection.
         """
         if not isinstance(self.content, dict):
             return None
@@ -43,9 +43,9 @@ class PoseRecord:
 def read_pose(path: Path, photo: Path) -> PoseRecord:
     """Read the pose of a photo from a file.
 
-    A file of several photos has the pose in the line that names the photo. Of a match it is the
-    answer, else the best candidate. Raises `MissingFileError` where there is no file, and
-    `InputError` where it has no such pose, or the pose of a photo of another name.
+    In a file of several photos, the line that names the photo counts. The pose of a match is its
+    answer, else its best candidate. Raises `MissingFileError` if there is no file, and `InputError`
+    if it has no such pose, or the pose of a photo with another name.
     """
     record = _record_of(_records_in(path), path, photo)
     _check_photo(record, path, photo)
@@ -73,8 +73,8 @@ def read_posed(
 ) -> tuple[Photo, NotedPose]:
     """Read a photo and its pose.
 
-    Without a ``projection`` the photo has the one of the pose's record, or else its own. Raises as
-    `read_photo`, `read_pose` and `NotedPose.from_dict`.
+    Without a ``projection``, the photo has the projection in the pose's record, or else its own.
+    Raises as `read_photo`, `read_pose` and `NotedPose.from_dict`.
     """
     record = read_pose(pose, photo)
     read = read_photo(photo, projection=projection or record.projection)
@@ -82,7 +82,7 @@ def read_posed(
 
 
 def _check_photo(record: Any, path: Path, photo: Path) -> None:
-    """Raise `InputError` for the record of a photo of another name."""
+    """Raise `InputError` for the record of a photo with another name."""
     named = record.get("photo") if isinstance(record, dict) else None
     if named and PurePath(str(named)).name != PurePath(printable(photo)).name:
         raise InputError(

@@ -48,7 +48,7 @@ def sky_view_factor(
     Raises
     ------
     InputError
-        The azimuths are not equal steps over a full turn, there is not one elevation for each, the
+        The azimuths are not equal steps over a full turn, the elevations are more or fewer, the
         tilt is not from 0 to 180, or the azimuth that the surface faces is not a number.
     """
     refuse_text(azimuth_deg=azimuth_deg, elevation_deg=elevation_deg)

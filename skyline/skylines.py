@@ -45,7 +45,7 @@ FLAG_OUT_OF_IMAGE = 8
 """Depth images only: the skyline lies above the image's top or below its bottom."""
 
 NO_KEYPOINT = 65535
-"""Value that pads the rows of keypoint tables."""
+"""The value that pads the rows of keypoint tables."""
 
 DEFAULT_MAX_KEYPOINTS = 128
 
@@ -86,7 +86,7 @@ def rotation(heading: int) -> Float64Array:
 
 
 def elevation_deg(v: Float64Array, u: Float64Array) -> Float64Array:
-    """Return elevation angles in degrees of image-plane ordinates v at abscissas u."""
+    """Return the elevation angles, degrees, of ordinates v at abscissas u."""
     return np.degrees(np.arctan(v * np.cos(np.arctan(u))))
 
 
@@ -137,7 +137,7 @@ class Views(Rows):
     def skyline_points_m(self) -> Float64Array:
         """Return the skyline's points X_i from the eye, (N, W, 3).
 
-        The three coordinates are east, up and north.
+        The coordinates are east, up and north, metres.
         """
         depth = self.depth_m.astype(np.float64)
         camera = np.stack([columns_u(self.width) * depth, self.v * depth, depth], axis=-1)
@@ -182,10 +182,11 @@ def joined_views(
 ) -> tuple[Float64Array, Float64Array]:
     """Return the skylines (M, B) of views that are joined by eye.
 
-    They are elevation tangents and horizontal distances. ``row`` (N,) is the index of each view's
-    eye; there are ``count`` eyes (M). Directions without a view, or without data, are NaN. On the
-    border of the data and behind a hole the skyline is a lower bound. It is used as it is: farther
-    terrain may rise above it in the photo, as a tree may anywhere.
+    The skylines are elevation tangents and horizontal distances.
+    ``row`` (N,) is the index of each view's eye; there are ``count`` eyes (M). Directions without a
+    view, or without data, are NaN. On the border of the data and behind a hole the skyline is a
+    lower bound. It is used as it is: farther terrain may rise above it in the photo, as a tree may
+    anywhere.
     """
     y, nearest, cosine = quadrants(views, bins, FLAG_NO_DATA, np.float64)
     distance = views.depth_m[:, nearest].astype(np.float64) / cosine
@@ -201,9 +202,9 @@ def quadrants(
 ) -> tuple[NDArray[Float], IntArray, NDArray[Float]]:
     """Return tangents of elevation (N, B / 4) at the bins of views.
 
-    They are NaN in columns with ``unusable`` flags. Each bin's nearest column and the cosine of its
-    azimuth, (B / 4,) each, are returned too. Azimuths count from the heading and begin 45 degrees
-    left of it. The first bin lies half a column left of the first column's centre and is
+    Tangents are NaN in columns with ``unusable`` flags. Each bin's nearest column and the cosine of
+    its azimuth, (B / 4,) each, are returned too. Azimuths count from the heading and begin 45
+    degrees left of it. The first bin lies half a column left of the first column's centre and is
     extrapolated; the bin 45 degrees to the right belongs to the next heading.
     """
     steps = np.arange(bins // 4) - bins // 8
@@ -219,9 +220,9 @@ def quadrants(
 
 
 def quadrant_bins(heading: NDArray[np.integer], bins: int) -> IntArray:
-    """Return the bins (N, B / 4) that views cover.
+    """Return the full turn's bins that views cover, (N, B / 4).
 
-    The bins are of the full turn; the views look along headings (N,).
+    The views look along headings (N,).
     """
     quarter = bins // 4
     first = heading[:, np.newaxis].astype(np.intp) * quarter - quarter // 2
@@ -231,7 +232,7 @@ def quadrant_bins(heading: NDArray[np.integer], bins: int) -> IntArray:
 def bin_azimuths_rad(bins: int) -> Float64Array:
     """Return the grid azimuths (B,) of the bins' centres.
 
-    Azimuths are in radians, clockwise from north. Bin b is centred at 360 (b + 1/2) / B degrees, so
+    They are in radians, clockwise from north. Bin b is centred at 360 (b + 1/2) / B degrees, so
     that a quarter of the bins lies wholly in each of the four 90 degree views.
     """
     return np.asarray((np.arange(bins) + 0.5) * (2.0 * np.pi / bins), dtype=np.float64)
@@ -320,7 +321,7 @@ def _runs(curves: FloatArray) -> tuple[IntArray, IntArray]:
 def _split(
     flat: Float64Array, left: IntArray, right: IntArray, tolerance: float
 ) -> tuple[IntArray, Float64Array]:
-    """Return flat indices and significances of the vertices inside segments left..right."""
+    """Return indices and significances of the vertices inside segments."""
     positions = [np.zeros(0, dtype=np.intp)]
     significances = [np.zeros(0)]
     bound = np.full(len(left), np.inf)

@@ -43,7 +43,7 @@ class Body(StrEnum):
 
 
 def check_is_earth(crs: CRS) -> None:
-    """Raise `InputError` for a DEM of another world, over which the sun stands elsewhere."""
+    """Raise `InputError` for a DEM of another world than the Earth."""
     if not is_of_earth(crs):
         raise InputError(
             f"the DEM is of another world, of {half_axes_m(crs)[0] / 1e3:.0f} km radius, and sun "
@@ -85,7 +85,7 @@ def time_of(given: datetime | str) -> datetime:
 
 
 def minutes_of(day: date, lon: float) -> list[datetime]:
-    """Return each minute of the 24 hours around noon of the mean sun at a longitude, in UTC."""
+    """Return each minute, in UTC, of the day around mean solar noon."""
     begin = datetime.combine(day, time(12), UTC) - timedelta(minutes=round(720.0 + 4.0 * lon))
     return [begin + step * _STEP for step in range(timedelta(days=1) // _STEP + 1)]
 
@@ -163,7 +163,7 @@ def _crossing(above_deg: Callable[[datetime], float], low: datetime, high: datet
 
 @dataclass(frozen=True, slots=True)
 class InSky:
-    """Where a body stands in the sky, as it is seen: refracted.
+    """Where a body appears in the sky, refracted.
 
     Attributes
     ----------

@@ -2,9 +2,9 @@
 
 A pixel of the sun's or the moon's disc gives a direction. A shadow's tip and foot give an azimuth:
 whatever stands upright casts its shadow away from the sun, however tall it is and whatever the
-ground's slope. The top of what casts the shadow gives the elevation, too. The direction's errors
-follow from those of the pose, of the pixels and of the ground's heights, and the sun's path of the
-day turns them into a time's.
+ground's slope. The top of what casts the shadow gives the elevation, too. The errors of the
+direction follow from the pose, the pixels and the ground's heights, and the sun's path on that day
+turns them into the error of a time.
 """
 
 import math
@@ -27,13 +27,13 @@ from skyline.sun import Body, InSky, Sky, minutes_of
 from skyline.terrain.height_errors import height_correlation
 
 _FARTHEST_SDS = 4.0
-"""A body that passes a direction farther aside, in standard errors, does not stand there."""
+"""A body that passes a direction at more than this many standard errors does not stand there."""
 _LEAST_ELEVATION_DEG = -0.3
 """The middle of a disc whose edge is on a flat horizon."""
 _WIDEST_SD_DEG = 30.0
-"""A direction that is less well known says nothing of the time."""
+"""A direction known less well than this says nothing about the time."""
 _LEAST_SD_DEG = 0.01
-"""The ephemeris and the frame are not better."""
+"""The ephemeris and the frame are no more exact than this."""
 _PENUMBRA_SD_DEG = 0.15
 """A shadow fades over the width of the sun's disc, 0.5 degrees; its end is seen within that."""
 _NEWTON_STEPS = 4
@@ -49,11 +49,12 @@ class Pointing:
     azimuth_deg : float
         From true north.
     elevation_deg : float
-        NaN where it is not known: of a shadow without a top.
+        NaN where it is not known: for a shadow without a top.
     covariance : (2, 2) float64
-        Covariance of azimuth and elevation, square degrees; infinite of an unknown elevation.
+        Covariance of azimuth and elevation, square degrees; infinite for an unknown elevation.
     from_axis_sd_deg : float
-        Standard error of the azimuth from the camera's heading, which has none of the heading's.
+        Standard error of the azimuth relative to the camera's heading, so without the heading's
+        error.
     """
 
     azimuth_deg: float
@@ -76,7 +77,7 @@ class Pointing:
     def off_deg(self, *seen: InSky) -> Float64Array:
         """Return how far azimuths and elevations (N, 2) of a body are off.
 
-        An elevation that is not known is not off.
+        An unknown elevation counts as right.
         """
         direction_deg = np.array([(one.azimuth_deg, one.elevation_deg) for one in seen])
         off_deg = np.nan_to_num(direction_deg - [self.azimuth_deg, self.elevation_deg])
@@ -132,7 +133,7 @@ class SunHeading:
 def body_pointing(
     pose: Pose, photo: PhotoSkyline, pixel: Pixel, pixel_sd_px: float = PIXEL_SD_PX
 ) -> Pointing:
-    """Return the direction of a pixel of a body's disc.
+    """Return the direction of a pixel in a body's disc.
 
     Raises `InputError` for a pixel outside the photo.
     """
@@ -162,14 +163,14 @@ def shadow_pointing(
         The ground as the camera of ``pose`` sees it.
     shadow : sequence of (float, float)
         Two or three pixels: the end of the shadow; the foot of what casts it, where it stands on
-        the ground; and its top. Without a top the elevation is not known. Of a mountain's shadow,
+        the ground; and its top. Without a top the elevation is not known. For a mountain's shadow,
         foot and top are the summit.
 
     Raises
     ------
     InputError
-        A pixel is outside the photo, one of the first two shows sky, or the shadow's direction
-        cannot be told.
+        A pixel is outside the photo, one of the first two shows sky, or the shadow's direction is
+        too uncertain.
     """
     errors = errors or GroundErrors()
     tip, foot, top = (*shadow, shadow[1])[:3]
@@ -213,8 +214,8 @@ def _toward_sun(
     """Return the way (3,) from a shadow's tip to its top, metres.
 
     ``ground`` has tip and foot; the top stands over the foot. The second result (3, P + 8) has the
-    way's derivatives by the pose, by the pixels of tip, foot and top, and by the errors of the
-    ground's heights at tip and foot.
+    derivatives by the pose, by the pixels of tip, foot and top, and by the errors of the ground's
+    heights at tip and foot.
     """
     tip, foot = ((ground.easting_m[k], ground.northing_m[k], ground.elevation_m[k]) for k in (0, 1))
     known = len(view.covariance)
@@ -247,9 +248,9 @@ def _pointing(
 ) -> Pointing:
     """Return the direction of a way, with its errors.
 
-    The way (3,) leads to the east, to the north and up. ``by`` (3, K) are its derivatives by the
-    unknowns of a pose and others, of which ``covariance`` (K, K) is known. The direction has the
-    errors ``least_sd_deg`` (2,), besides.
+    The way (3,) leads east, north and up. ``by`` (3, K) are its derivatives by the unknowns of a
+    pose and others, whose covariance is ``covariance`` (K, K). The errors ``least_sd_deg`` (2,) of
+    the direction are added.
     """
     azimuth_deg, elevation_deg = np.degrees(_angles(way)).tolist()
     no_heading = np.where(np.arange(by.shape[1]) == HEADING, 0.0, by)
@@ -266,7 +267,7 @@ def _pointing(
 
 
 def _angles(way: Float64Array) -> Float64Array:
-    """Return azimuths and elevations (..., 2) of ways (..., 3), radians."""
+    """Return the azimuths and elevations (..., 2), radians, of ways (..., 3)."""
     east, north, up = np.moveaxis(way, -1, 0)
     return np.stack([np.arctan2(east, north), np.arctan2(up, np.hypot(east, north))], axis=-1)
 
@@ -286,7 +287,7 @@ def _spread_deg2(way: Float64Array, covariance: Float64Array) -> Float64Array:
 
 
 def times_at(pointing: Pointing, sky: Sky, body: Body, day: date, lon: float) -> list[ClockTime]:
-    """Return the times of a day at which a body stands in a direction, the likeliest first.
+    """Return when a body stands in a direction, likeliest time first.
 
     The day is the 24 hours around noon of the mean sun at ``lon``. Raises `InputError` if the body
     stays below the horizon that day, or passes too far aside.
@@ -317,7 +318,7 @@ def times_at(pointing: Pointing, sky: Sky, body: Body, day: date, lon: float) ->
 
 
 def heading_at(pose: Pose, pointing: Pointing, sky: Sky, body: Body, at: datetime) -> SunHeading:
-    """Return the heading of a pose if a body stood in a direction at a time.
+    """Return a pose's heading, given a body's direction and the time.
 
     Raises `InputError` if the body is below the horizon, or stood far above or below the direction,
     whatever the heading.

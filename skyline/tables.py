@@ -1,9 +1,9 @@
-"""Reading of CSV tables.
+"""Reading CSV tables.
 
 Viewpoints, gazetteers, lists of photos and traces are all such tables. Cells are separated by the
 most frequent of comma, semicolon and tab in the header. With semicolons or tabs, numbers may have
 decimal commas, and points between thousands beside them. Lines before the header that begin with #
-are notes. An apostrophe that keeps a text from being a formula is taken off.
+are notes. The apostrophe that keeps a text from being a formula is removed.
 """
 
 import csv
@@ -28,12 +28,12 @@ _OTHER_NAMES = {
     "northing_m": "northing",
     "fid": "id",
 }
-"""Usual names of columns, and the names by which Skyline replaces them."""
+"""Other usual names of columns, and the names that Skyline uses instead."""
 _DECIMAL_COMMA = re.compile(r"[-+]?\d[\d.]*,\d+")
 _THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2}(?:\.\d{3})+(?:,\d+)?(?![\d.,])")
 """A number with points between thousands."""
 _FORMULA = re.compile(r"'*[-=+@\uff0d\uff1d\uff0b\uff20]")
-"""The beginning of a text that spreadsheets take for a formula: a sign, which may have full width,
+"""The beginning of a text that spreadsheets take for a formula: a sign, perhaps of full width,
 perhaps after apostrophes (OWASP, CSV injection)."""
 _LONE_NUMBER = re.compile(r"[-+]?[0-9]+(?:[.,][0-9]+)?(?:[eE][-+]?[0-9]+)?")
 """A number, which is no formula although it may begin with a sign."""
@@ -62,7 +62,7 @@ class Row:
         return self["id"] or self["name"]
 
     def with_point(self, column: str) -> str:
-        """Return a number's text with a decimal point, without points between thousands."""
+        """Return a number's text with a decimal point and no thousands separators."""
         text = self[column]
         if not self.has_decimal_commas:
             return text
@@ -110,7 +110,7 @@ class Table:
             )
 
     def first_in(self, *choices: tuple[str, ...], expected: str) -> tuple[str, ...]:
-        """Return the first set of columns present; raises `InputError` for none."""
+        """Return the first set of columns present, or raise `InputError`."""
         for names in choices:
             if set(names) <= set(self.header):
                 return names
@@ -121,7 +121,7 @@ class Table:
 def is_table(path: object) -> TypeGuard[str | Path]:
     """Return whether a path is a CSV file.
 
-    A path is one by its suffix, or by its text on standard input.
+    The suffix decides, or the text on standard input.
     """
     if not isinstance(path, str | Path):
         return False
@@ -142,7 +142,7 @@ def read_table(
     further names of columns to the names that rows use.
 
     Raises `MissingFileError` where there is no such file, and `InputError` where it cannot be read,
-    a column is there twice, or a row has more cells than the header.
+    a column occurs twice, or a row has more cells than the header.
     """
     content = read_bytes(path, expected)
     if b"\0" in content:
@@ -203,7 +203,7 @@ def csv_lines(rows: Iterable[Iterable[object]]) -> str:
 
 
 def _cell(value: object) -> object:
-    """Return a text as it is written, an apostrophe before formulas."""
+    """Return a text as written, with an apostrophe before a formula."""
     if not isinstance(value, str):
         return value
     text = printable(value)
@@ -217,6 +217,6 @@ def unguarded(cell: str) -> str:
 
 
 def _column(name: str, other_names: Mapping[str, str]) -> str:
-    """Return the name that rows use for a column."""
+    """Return Skyline's name for a column."""
     name = name.lower()
     return other_names.get(name) or _OTHER_NAMES.get(name, name)

@@ -33,7 +33,7 @@ EXPECTED = (
 PHOTO_MEMBER = "photo"
 """Member of a FeatureCollection in pixels: the photo's name, width and height."""
 VERTICES_LAYER = "vertices"
-"""Layer of a GeoPackage that `draw` writes: the errors of drawn vertices."""
+"""The layer of GeoPackages in which `draw` writes the errors of drawn vertices."""
 _PARTS = {
     POINT: (POINT, 0), "MultiPoint": (POINT, 1), LINE: (LINE, 0), "MultiLineString": (LINE, 1),
     POLYGON: (POLYGON, 0), "MultiPolygon": (POLYGON, 1),
@@ -44,8 +44,8 @@ _SVG_SHAPES = ("polygon", "polyline", "line", "rect", "circle", "ellipse", "path
 _SVG_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _SVG_STEP = re.compile(rf"([a-zA-Z])|({_SVG_NUMBER})")
 _CORNER = 0.5
-"""LabelMe, COCO, SVG and QGIS count pixels from the photo's corner; here a pixel's centre is a
-whole number."""
+"""LabelMe, COCO, SVG and QGIS count pixels from the photo's corner; here pixel centres are at whole
+numbers."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,12 +74,12 @@ class Vectors:
     path: Path
     shapes: tuple[Shape, ...]
     in_pixels: bool
-    """Whether they are drawn in a photo, and not on a map."""
+    """Whether they were drawn in a photo rather than on a map."""
     size_px: tuple[int, int] | None = None
     """Width and height of their photo, if the file says so."""
 
     def check_photo(self, photo: Path, width_px: int, height_px: int) -> None:
-        """Raise `InputError` for vectors of a photo of another size."""
+        """Raise `InputError` if the vectors' photo has another size."""
         if self.size_px is not None and self.size_px != (width_px, height_px):
             width, height = self.size_px
             raise InputError(
@@ -106,15 +106,15 @@ def read_vectors(path: Path, photo: Path, in_pixels: bool = False) -> Vectors:
     photo : Path
         The photo, whose annotations are read where a file has the annotations of several.
     in_pixels : bool
-        Whether GeoJSON that does not say so is in pixels. Rows that are all below 0 count upwards
-        from the photo's upper edge, as QGIS has them.
+        Whether GeoJSON is in pixels even if it does not say so. Rows that are all below 0 count
+        upwards from the photo's upper edge, as QGIS has them.
 
     Raises
     ------
     MissingFileError
         There is no such file.
     InputError
-        The file holds no shapes, or shapes of no known kind, or their coordinates are neither
+        The file holds no shapes, or unknown kinds of shapes, or their coordinates are neither
         pixels nor degrees.
     """
     suffix = path.suffix.lower()
@@ -146,7 +146,7 @@ def _check_degrees(path: Path, shape: Shape) -> None:
         first = int(off.argmax())
         raise InputError(
             f"{path}, {shape.where} has the coordinates {lon[first]:g},{lat[first]:g}, which are "
-            "no degrees, and the file names no CRS; give --pixels if they are columns and rows of "
+            "not degrees, and the file names no CRS; give --pixels if they are columns and rows of "
             "the photo, else the CRS in the file's member `crs`"
         )
 
@@ -171,7 +171,7 @@ def _of_json(path: Path, photo: Path, in_pixels: bool) -> Vectors:
         raise InputError(
             f"{path} has a part that cannot be read ({printable(str(error))[:60]}); {EXPECTED}"
         ) from None
-    raise InputError(f"{path} is no file of vectors; {EXPECTED}")
+    raise InputError(f"{path} is not a file of vectors; {EXPECTED}")
 
 
 def _of_geojson(path: Path, read: Mapping[str, Any], in_pixels: bool) -> Vectors:
@@ -222,10 +222,10 @@ def _parts_of(geometry: Any) -> Iterator[tuple[str, tuple[Float64Array, ...]]]:
 
 
 def _ring(given: Sequence[Sequence[float]], kind: str = LINE) -> Float64Array:
-    """Return vertices (V, 2); a polygon's without the last one if it is the first again."""
+    """Return vertices (V, 2), without the last if it closes a polygon."""
     ring = np.array([one[:2] for one in given], dtype=np.float64).reshape(-1, 2)
     if not np.isfinite(ring).all():
-        raise ValueError("a coordinate is no number")
+        raise ValueError("a coordinate is not a number")
     is_closed = kind == POLYGON and len(ring) > 1 and np.array_equal(ring[0], ring[-1])
     return ring[:-1] if is_closed else ring
 
@@ -235,7 +235,7 @@ def _moved(shape: Shape, move: Callable[[Float64Array], Float64Array]) -> Shape:
 
 
 def _in_degrees(path: Path, shapes: list[Shape], crs: Any) -> list[Shape]:
-    """Return shapes in degrees of WGS 84, from the CRS that older GeoJSON names."""
+    """Convert shapes to WGS 84 from the CRS that older GeoJSON names."""
     if not isinstance(crs, Mapping):
         return shapes
     from pyproj import CRS, Transformer  # noqa: PLC0415  (slow to load)
@@ -277,7 +277,7 @@ def _of_labelme(path: Path, read: Mapping[str, Any]) -> Vectors:
 
 
 def _size_of(read: Mapping[str, Any], name: str) -> tuple[int, int] | None:
-    """Return a width and a height, None unless both are given."""
+    """Return a width and a height; None unless both are given."""
     width, height = (
         read.get(name.format(side)) or read.get(name.format(side).lower())
         for side in ("Width", "Height")
@@ -464,7 +464,7 @@ def _svg_path(path: Path, steps: str) -> Iterator[tuple[str, Float64Array]]:
 def _of_geopackage(path: Path) -> Vectors:
     """Return the shapes of all layers of a GeoPackage, in degrees.
 
-    Not those of `draw`'s own layer of vertices, which lie on its other shapes.
+    `draw`'s own layer of vertices, which lie on its other shapes, is left out.
     """
     geopandas = library("geopandas", f"reading {path}")
     if not path.exists():

@@ -65,13 +65,13 @@ _AROUND = 0.52
 """Distance to either side of the picture's middle up to which a rendered skyline is drawn, in
 widths: just beyond the picture."""
 _WIDTH = 1024
-"""Columns of a rendered 90 degree view: more than a screen shows of it."""
+"""Columns of a rendered 90 degree view: more than a screen has for it."""
 _MARGIN_DEG = 20.0
 """A view is rendered if half the field of view comes this near to it: a photo of 120 degrees that
 is pitched by 30 and rolled by 10 degrees shows skyline 19 degrees beyond."""
 _DISC_POINTS = 49
 _DISC_STEP_RAD = 1e-4
-"""Between the profiles that are followed; the direction of one ray is met exactly."""
+"""Step between the profiles that are followed; one ray is followed exactly."""
 _ROUNDED_M = 0.01
 """An eye that is too low by less than this is rounded."""
 
@@ -123,13 +123,13 @@ class SeenPeak(Sighting):
     row_px: float
 
     def doubted(self, confidence: float) -> SeenPeak:
-        """Return the peak with the probability that its name is right behind the name."""
+        """Return the peak with its name's probability behind the name."""
         return replace(self, name=f"{self.name} ({100.0 * confidence:.0f} %)")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UnseenPeaks:
-    """The names of the peaks that a photo does not show, by the reason."""
+    """The peaks that a photo does not show, by reason."""
 
     hidden: tuple[str, ...]
     """Terrain stands before them."""
@@ -233,7 +233,7 @@ class PixelPlaces(ShortRepr):
     crs: CRS = field(default_factory=lambda: WGS84, repr=False)
 
     def to_xarray(self) -> Dataset:
-        """Return the places as a dataset, NaN for sky.
+        """Return the places as a dataset; NaN for sky.
 
         Returns
         -------
@@ -313,7 +313,7 @@ class PixelPlaces(ShortRepr):
         Raises
         ------
         InputError
-            The suffix is another, or the file cannot be written.
+            The suffix is a different one, or the file cannot be written.
         """
         path, suffix = Path(path), suffix_of(path, PIXEL_FILES)
         about = json.dumps(pose.to_dict())
@@ -343,9 +343,9 @@ class PixelPlaces(ShortRepr):
 class Viewer(Closeable):
     """The terrain as cameras see it.
 
-    It shows skylines, summits and the place in each pixel of a photo. Poses are in the terrain's
-    frame: `pose` makes them, or a matcher of the same elevation model. Any thread may call it;
-    `close`, or the end of a ``with`` block, frees its memory on the GPU.
+    A viewer finds the skylines, the summits and the place in each pixel of a photo. Poses are in
+    the terrain's frame: make them with `pose`, or with a matcher of the same elevation model. Any
+    thread may call it; `close`, or the end of a ``with`` block, frees its memory on the GPU.
 
     Parameters
     ----------
@@ -434,9 +434,9 @@ class Viewer(Closeable):
     def pose_of(self, noted: NotedPose) -> tuple[Pose, str]:
         """Return a noted pose on the terrain, and a notice, or "".
 
-        The notice is a sentence about an eye that is lifted. An eye whose elevation is lower than a
-        camera is held is lifted. Raises `OffMapError` for a pose off the map and for an eye far
-        below the ground, and `InputError` for an eye higher than aeroplanes.
+        An eye below the least height of a camera is lifted, and the notice says so. Raises
+        `OffMapError` for a pose off the map and for an eye far below the ground, and `InputError`
+        for an eye higher than aeroplanes.
         """
         height_m = DEFAULT_EYE_HEIGHT_M if noted.eye_height_m is None else noted.eye_height_m
         standing = self.pose(
@@ -460,7 +460,7 @@ class Viewer(Closeable):
         return (pose, "") if noted.eye_elevation_m is None else self._lifted(pose)
 
     def _lifted(self, pose: Pose) -> tuple[Pose, str]:
-        """Return the pose as held, with a notice if it was lifted."""
+        """Return the lifted pose, with a notice if it was lifted."""
         held = self.held(pose)
         height_m = LEAST_EYE_HEIGHT_M - (held.eye_elevation_m - pose.eye_elevation_m)
         if height_m >= LEAST_EYE_HEIGHT_M - _ROUNDED_M:
@@ -566,9 +566,9 @@ class Viewer(Closeable):
         )
 
     def unseen(self, pose: Pose, photo: PhotoSkyline, seen: Sequence[SeenPeak]) -> UnseenPeaks:
-        """Return why a photo does not show the other peaks; raises as `summits`.
+        """Return why a photo does not show the other peaks.
 
-        ``seen`` are the summits that it shows.
+        ``seen`` are the summits that it shows. Raises as `summits`.
         """
         shown = {(one.name, one.easting_m, one.northing_m) for one in seen}
         hidden: list[str] = []
@@ -589,7 +589,7 @@ class Viewer(Closeable):
         return UnseenPeaks(hidden=tuple(hidden), outside=tuple(outside), off_map=tuple(off_map))
 
     def bodies(self, pose: Pose, photo: PhotoSkyline, at: datetime) -> list[SeenBody]:
-        """Return the sun and the moon at a time, those whose middle is in the picture.
+        """Return which of sun and moon a photo shows at a time.
 
         Raises `OffMapError` for a pose off the map or on a hole, and `InputError` as `look`, or if
         PyEphem is not installed or the DEM is of another world than the Earth.

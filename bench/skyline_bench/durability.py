@@ -50,7 +50,7 @@ _SIDE_M, _QUICK_SIDE_M = 5000.0, 2000.0
 _JOB_OF_PLACES = JobSize(256, 64)
 _JOB_OF_VIEWS = JobSize(16, 4)
 _PART = PartSize(seconds=0.05)
-"""Jobs and parts of a fraction of a second, so that builds are killed between many of them."""
+"""Jobs and parts take a fraction of a second, so that builds are killed between many of them."""
 _LONGER = 1.3
 """A build is killed within the time of an unbroken build, times this."""
 _KILLS_A_BUILD = 3
@@ -253,7 +253,7 @@ def mutated(data: bytes, generator: np.random.Generator) -> bytes:
 def _command(arguments: list[object]) -> str:
     """Run a command, and return how it ended.
 
-    The end is "answered", "refused", or a description of any other.
+    The end is "answered", "refused", or a description of any other end.
     """
     errors = io.StringIO()
     sys.argv = ["skyline", *map(str, arguments)]
@@ -311,7 +311,7 @@ def _good_files(folder: Path) -> dict[str, tuple[bytes, _Command]]:
 def _damaged_files(cases: int, seed: int) -> Iterator[Row]:
     """Yield how commands ended on damaged files, by kind of file.
 
-    For ``cases`` files of each kind, these are the numbers answered, refused and wrong.
+    These are the numbers answered, refused and wrong, of ``cases`` files of each kind.
     """
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

@@ -63,11 +63,10 @@ def figures(
 ) -> None:
     """The tables and diagrams of records: of a folder of yours, or of the pages.
 
-    Of a folder, figures.md has a table of each record, and diagrams are drawn of
-    records of speed-error and of searches. In the pages, tables are written
-    between the lines <!-- figures: NAME --> and <!-- end of figures -->, figures
-    into the sentences that have them, and constants and equations of the code
-    beside the comments that name them.
+    In a folder, figures.md gets a table of each record, and records of speed-error and of searches
+    get diagrams. In the pages, tables are written between the lines <!-- figures: NAME --> and
+    <!-- end of figures -->, figures into the sentences that have them, and constants and equations
+    of the code beside the comments that name them.
     """
     if folder is None:
         _write_pages(out or Path())

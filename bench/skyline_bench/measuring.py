@@ -1,4 +1,4 @@
-"""Measuring of times, memory and areas, and texts of values.
+"""Measuring times, memory and areas, and showing values.
 
 Rival programs are timed alike. Each program has all cores and a warm-up, and they take turns.
 """
@@ -85,7 +85,7 @@ def in_turns(
 ) -> list[Timing]:
     """Time each piece of work, in turns.
 
-    What else the machine does thus hits all alike.
+    So whatever else the machine does affects all alike.
 
     Everything runs once before the first of ``repeats`` timed rounds; ``tick`` is called after
     each run, outside the time.
@@ -113,8 +113,8 @@ def _ticked(work: Callable[[], object], tick: Callable[[], object]) -> tuple[flo
 def peak_bytes() -> int | None:
     """Return the greatest resident memory of this process so far.
 
-    None where it is unknown. Pages of mapped files count, which the system may drop when it needs
-    them.
+    Returns None if unknown. Pages of mapped files count, which the system may drop when it needs
+    memory.
     """
     try:
         status = Path("/proc/self/status").read_text(encoding="utf-8")
@@ -127,7 +127,7 @@ def peak_bytes() -> int | None:
 def shown(value: object) -> str:
     """Return a value as tables show it.
 
-    It has three digits, or all digits before the point.
+    The value has three digits, or all digits before the point.
     """
     if value is None:
         return "-"

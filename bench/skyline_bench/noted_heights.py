@@ -1,8 +1,8 @@
 """Made photos that note heights, from the air and from the ground.
 
 Photos from the air are taken from drones, towers and balloons. A drone notes its height above its
-take-off and the altitude of its barometer. Other photos note an altitude alone, many above the
-ellipsoid, as if it were above the sea.
+take-off and the altitude of its barometer. Other photos note only an altitude, many above the
+ellipsoid as if it were above the sea.
 """
 
 import math
@@ -25,7 +25,7 @@ MEASURED = "noted heights"
 BESIDE_M = 50.0
 """Distance of the place that is given from the true one."""
 RIGHT_EYE_M = 30.0
-"""Largest error of the elevation of an eye that is right: three times the model's error."""
+"""Largest error of an eye's elevation that is right: three times the model's error."""
 HEIGHTS = """measured=queries group km2 n answered wrong lowest_m highest_m median_deg median_eye_m
     worst_eye_m strongest seconds=s"""
 """Columns of the printed table."""
@@ -50,8 +50,8 @@ def height_rows(
 ) -> list[dict[str, Any]]:
     """Return a row for each kind of photos that note heights.
 
-    There are ``count`` photos of each kind. The photos see ``seen``, and are oriented at places
-    beside those where they were taken.
+    There are ``count`` photos of each kind. They see ``seen``, and are oriented at places beside
+    the true ones.
     """
     return [
         {"measured": MEASURED, "group": group}
@@ -78,7 +78,7 @@ def _tried(
 
 
 def beside_m(truth: Truth, rng: np.random.Generator) -> tuple[float, float]:
-    """Draw easting and northing of a place `BESIDE_M` from a true one."""
+    """Draw easting and northing of a place `BESIDE_M` beside a true one."""
     off = BESIDE_M * np.exp(2j * np.pi * rng.uniform())
     return truth.easting_m + off.real, truth.northing_m + off.imag
 

@@ -1,4 +1,4 @@
-"""Opening: what one answer takes in a new process.
+"""Opening: the time of one answer in a new process.
 
 The first answer about a DEM is timed, and the next.
 """
@@ -125,7 +125,7 @@ def _commands(
 def _cache(name: str, folder: Path, number: int) -> Path | None:
     """Return the empty cache of a round.
 
-    It is None for a command that uses the cache which the build of its store has left.
+    Returns None for a command that uses the cache left by the build of its store.
     """
     if name == "match":
         return None

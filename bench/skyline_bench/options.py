@@ -24,9 +24,9 @@ _WIDTH = 100
 _MOST_WORDS = 40
 """Columns of the widest words; longer ones are folded."""
 _ABOUT = {"n", "km2", "queries", "kind", "group", "matcher"}
-"""Columns that each part of a table has: how many of what kind, in which area."""
+"""Columns in every part of a table: how many of what kind, in which area."""
 _FIRST = 3
-"""Columns at the beginning of a table that may say in words what a row is of."""
+"""Columns at the beginning of a table that may say in words what a row is about."""
 
 
 def read_here(context: typer.Context, param: CallbackParam, value: Any) -> Any:
@@ -39,10 +39,7 @@ def read_here(context: typer.Context, param: CallbackParam, value: Any) -> Any:
 
 
 def written_here(context: typer.Context, param: CallbackParam, path: Path | None) -> Path | None:
-    """Refuse a file that could not be written.
-
-    It is refused before the measurement and not after it.
-    """
+    """Refuse a file that could not be written, before the measurement."""
     note_files(context, param, WRITTEN)
     if path is not None and not path.absolute().parent.is_dir():
         raise InputError(f"{param.opts[0]} {path}: there is no folder {path.parent}; make it first")
@@ -122,7 +119,7 @@ Crs = Annotated[str | None, Option(help="The DEM's CRS where its file has none, 
 def store_folder(kept: Path | None) -> Iterator[Path]:
     """Yield a folder for stores.
 
-    It is the folder named, which is made if need be, else a temporary one.
+    It is the named folder, which is made if necessary, else a temporary one.
     """
     if kept is not None:
         kept.mkdir(parents=True, exist_ok=True)
@@ -147,8 +144,8 @@ def print_rows(rows: Sequence[Row], columns: str | None = None) -> None:
     """Print rows as a table, or as several that fit 100 columns.
 
     ``columns`` are the keys shown, as ``key`` or ``key=heading``; by default all. Underscores
-    become spaces. Bytes are shown as megabytes, and a value with its interval, which rows have as
-    ``key_low`` and ``key_high``. Each part of a wide table has the words at its beginning and the
+    become spaces. Bytes are shown as megabytes, and values with their intervals, which rows have as
+    ``key_low`` and ``key_high``. Each part of a wide table begins with the words and has the
     columns of `_ABOUT`.
     """
     console = Console()
@@ -194,7 +191,7 @@ def _headings(rows: Sequence[Row], columns: str | None) -> dict[str, str]:
 
 
 def _repeated(rows: Sequence[Row], headings: Mapping[str, str]) -> list[str]:
-    """Return the columns that say what a row is of: words at its beginning, and `_ABOUT`."""
+    """Return the columns that say what a row is about."""
     first = list(headings)[:_FIRST]
     words = max((at for at, key in enumerate(first, start=1) if _is_words(rows, key)), default=0)
     about = [key for key, name in headings.items() if {key, name} & _ABOUT]

@@ -43,7 +43,7 @@ from skyline_bench.search.trials import ALL, groups
 from skyline_bench.sights import Posed, label_row, pixel_row
 
 SHARP_DEG = 0.15
-"""Standard error up to which a heading within 0.3 degrees is claimed."""
+"""Standard error below which a heading claims to be right within 0.3 degrees."""
 _ORIENTED = """of measured=queries group km2 n answered within_0.3_deg within_1_deg=within_1
     median_deg p95_deg median_sd_deg=median_sd within_2_sd fov_within_3_% wrong strongest
     seconds=s"""
@@ -195,7 +195,7 @@ def figures_of(
 ) -> dict[str, Any]:
     """Return the figures of an orientation.
 
-    It is compared with the true angles, where these are known.
+    It is compared with the true angles, if known.
     """
     pose = found.pose
     off_deg = fov_off = None

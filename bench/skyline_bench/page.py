@@ -35,7 +35,7 @@ _PROMISED: dict[str, Row] = {
 }
 
 _Figure = tuple[str, float, str, int]
-"""A name, a value and its unit, and from how many measurements it comes."""
+"""A name, a value, its unit, and the number of measurements."""
 
 _MEASURED = "return performance.getEntriesByName('{}').map((one) => one.duration)"
 _STATE = "const done = arguments[0]; import('/page/{}.js').then((it) => done({}));"

@@ -1,7 +1,7 @@
 """The paper's tables: its simulation, and predictors compared with renderings.
 
 The simulation (section 5.1, Table 1) compares the strategies by (A), the viewpoints rendered,
-corners included, and (B), the overlap: all inclusions in tolerance areas less the locations
+corners included, and (B), the overlap: all inclusions in tolerance areas minus the locations
 covered. The least number of viewpoints of a strategy, ``bound``, is the number of locations to
 cover divided by the mean area of its views.
 """
@@ -45,9 +45,8 @@ def table1(
 ) -> None:
     """The paper's Table 1: viewpoints (A) and overlap (B) of each strategy.
 
-    A, B, the area and the seconds are means over n seeds. The paper's A and B
-    belong to its square of 100 sites a side, and are left out beside a square of
-    another size.
+    A, B, the area and the seconds are means over n seeds. The paper's A and B belong to its square
+    of 100 sites a side, and are left out for a square of another size.
     """
     rows = measure_table1(seeds, side, row or [1, 2, 3])
     columns = "row strategy n paper_A A A_std paper_B B mean_area bound seconds"
@@ -57,10 +56,11 @@ def table1(
 def measure_table1(seeds: int, side: int, numbers: Sequence[int]) -> list[dict[str, Any]]:
     """Run the strategies on rows of the table.
 
-    Each is run with the seeds 0, 1, and so on. Returned are, for each row and strategy, the paper's
-    figures, if its square is as large, and the means and standard deviations over seeds of ``A``,
-    ``B``, ``mean_area`` (of the views rendered) and ``seconds`` (processor time), the mean
-    ``coverage`` that is reached, and ``bound``, the sites to cover divided by ``mean_area``.
+    Each is run with the seeds 0, 1, and so on. The rows have, for each row of the table and
+    strategy, the paper's figures, if its square is as large, and the means and standard deviations
+    over seeds of ``A``, ``B``, ``mean_area`` (of the views rendered) and ``seconds`` (processor
+    time), the mean ``coverage`` that is reached, and ``bound``, the sites to cover divided by
+    ``mean_area``.
     """
     rows = []
     for number in numbers:
@@ -135,9 +135,9 @@ _MOUNTAIN = _Mountain()
 def mountain_curve(row: Setup, side: int) -> Float32Array:
     """Return the mountain's skyline in space (P, 3): right, up, forward.
 
-    The mountain stands before the middle of a square of ``side`` rows and columns of sites. Over
-    its width stand equal peaks; a point higher on the mountain also stands further back, since a
-    mountain has a slope. At rotation 0 the foot is parallel to the camera plane; a rotation turns
+    The mountain stands in front of the middle of a square of ``side`` rows and columns of sites.
+    Over its width stand equal peaks; a point higher on the mountain also stands further back, since
+    a mountain has a slope. At rotation 0 the foot is parallel to the camera plane; a rotation turns
     the mountain about its near end, so that it recedes to the right.
     """
     along = np.linspace(0.0, _MOUNTAIN.breadth, 513)
@@ -152,7 +152,7 @@ def mountain_curve(row: Setup, side: int) -> Float32Array:
 
 
 class Simulation:
-    """A square of sites before a parametric mountain.
+    """A square of sites in front of a parametric mountain.
 
     It stands for one row of Table 1. Lengths are in sites (the pitch of the grid), and stand for
     metres in `skyline.paper`. The eyes look north, over flat ground. A rendering is the upper
@@ -210,7 +210,8 @@ def envelope(points: Float32Array, u: Float32Array) -> tuple[Float32Array, Float
     """Return the upper envelope of curves in space as views see it.
 
     Points (N, P, 3) are right, up and forward of each view's curve; abscissas ``u`` (Q,) of the
-    columns are evenly spaced. Returned are ordinates and depths (N, Q), NaN where there are none.
+    columns are evenly spaced. The results are ordinates and depths (N, Q), NaN where there are
+    none.
     """
     views = len(points)
     columns = len(u)
@@ -269,7 +270,7 @@ def simulate(simulation: Simulation, planner: Planner, seed: int) -> tuple[Cover
     """Run a planner on a simulation until the row's coverage is reached.
 
     Return the coverage, whose viewpoints are in the order rendered, the corners first, and the
-    processor time of the planner with all it asked for: renderings and areas.
+    processor time of the planner, including the renderings and areas that it asked for.
     """
     started = time.process_time()
     coverage = Coverage(simulation.sites)

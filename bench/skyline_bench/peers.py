@@ -1,4 +1,4 @@
-"""Peers to be measured against: Embree's rays, and GRASS' r.horizon.
+"""Peers to measure against: Embree's rays, and GRASS's r.horizon.
 
 Embree's scene is the exact surface, so that all renderers share one physics. Curvature depends on
 the eye and a ray tracer's scene does not, so the samples are dropped around the DEM's middle c
@@ -9,10 +9,10 @@ depth. The rays are tilted by that much; nothing is approximated. Embree needs `
 optional extra ``peers``. One call to it runs on one thread and lets others run, so the viewpoints
 are shared out among as many threads as there are cores.
 
-r.horizon (`grass` on the path) goes place by place. It puts the eye on the ground of the nearest
-sample, knows no curvature in metric frames, counts its azimuths from true north and has no angle
-below zero. So its map is the height field, and it is compared with skylines from that sample, on a
-flat Earth, cut off at zero.
+r.horizon (`grass` on the path) takes one place at a time. It puts the eye on the ground of the
+nearest sample, has no curvature in metric frames, counts its azimuths from true north and has no
+angles below zero. So its map is the height field, and it is compared with skylines from that
+sample, on a flat Earth, cut off at zero.
 """
 
 import re
@@ -51,12 +51,12 @@ done
 
 
 def has_embree() -> bool:
-    """Whether ``embreex`` is there to be imported."""
+    """Return whether ``embreex`` can be imported."""
     return find_spec("embreex") is not None
 
 
 def has_grass() -> bool:
-    """Whether ``grass`` is there to be run."""
+    """Return whether ``grass`` can be run."""
     return shutil.which("grass") is not None
 
 
@@ -124,7 +124,7 @@ class EmbreePeer:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Rays:
-    """Everything about M = views * W columns but the ordinate to look along."""
+    """Everything about M = views * W columns except the ordinate."""
 
     scene: Any
     eyes: Float32Array  # (M, 3); east, up, north of each column's eye in the scene
@@ -166,7 +166,7 @@ def _from_neighbours(rays: _Rays, columns: Int64Array, bracket: float) -> Float6
 def _around(
     rays: _Rays, columns: Int64Array, guess: Float64Array, step: Float64Array, bracket: float
 ) -> Float64Array:
-    """Return the skyline of columns, looked for around guesses in growing steps.
+    """Return the skyline of columns, searched around guesses in growing steps.
 
     It has the shape of the columns, and is NaN where no ray hits anything.
     """
@@ -219,7 +219,7 @@ def _triangles(field: HeightField) -> NDArray[np.int32]:
 def _scene(vertices: Float32Array, triangles: NDArray[np.int32]) -> Any:
     """Build Embree's scene.
 
-    Not in its robust mode: that is a quarter slower, and the errors are the same.
+    Its robust mode is not used: it is a quarter slower, with the same errors.
     """
     from embreex.mesh_construction import TriangleMesh  # noqa: PLC0415  (an extra)
     from embreex.rtcore_scene import EmbreeScene  # noqa: PLC0415

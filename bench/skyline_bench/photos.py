@@ -157,8 +157,8 @@ def measure(
 
     Squares of a side are searched about the photographs, or one store; the terrain is not needed
     where nothing is located. The squares' stores are kept in a folder and found again. ``use_gps``
-    lets the photographs' own positions draw the search. `InputError` is raised where a place is not
-    on the elevation model, or there is none.
+    lets the photographs' own positions pull the search. Raises `InputError` if a place is not on
+    the elevation model, or if there is none.
     """
     for one in photographs:
         if one.kind == EXTRACT:
@@ -240,8 +240,8 @@ def _extracted(one: Photograph) -> Measured:
 def count_columns(skyline: PhotoSkyline, true_px: Float64Array) -> tuple[int, int, int, int]:
     """Count the columns with a true skyline.
 
-    Returned are the trusted ones, of these the right and the far ones, and all. A column is right
-    within 1 % of the photo's height, and far beyond 3 %.
+    The counts are of the trusted ones, of the right and the far ones among these, and of all. A
+    column is right within 1 % of the photo's height, and far beyond 3 %.
     """
     known = np.isfinite(true_px)
     off = np.abs(skyline.row_px - true_px)[known & skyline.trusted] / skyline.height_px
@@ -334,10 +334,7 @@ def _found_by_truth(
 def _fitted(
     one: Photograph, skyline: PhotoSkyline, matcher: Matcher, viewer: Viewer
 ) -> Pose | None:
-    """Return the fit of the true pose.
-
-    None where the pose is unknown or lost.
-    """
+    """Return the fit of the true pose; None if unknown or lost."""
     if one.heading_deg is None:
         return None
     lon, lat = one.lonlat
@@ -445,7 +442,7 @@ def sky_masks(
 def _columns(photo: Photograph) -> tuple[int, int, int, int]:
     """Return the figures of `count_columns`.
 
-    No column is trusted where the photo is refused.
+    If the photo is refused, no column is trusted.
     """
     measured = _extracted(photo)
     if measured.skyline is not None and measured.row_px is not None:

@@ -1,8 +1,8 @@
 """Records of benchmarks: rows, and how to measure them again.
 
 A record names the command, the data that it read, the area, the stores, the seed, the code and the
-machine. Files are named as the command named them: start a benchmark whose record others shall
-repeat in the folder of the data, and give the paths from there.
+machine. Files are named as the command named them. If others are to repeat a record, start the
+benchmark in the folder of the data, and give the paths from there.
 """
 
 import datetime
@@ -35,7 +35,7 @@ from skyline_bench.measuring import Row, core_count
 READ = "skyline_bench.read"
 WRITTEN = "skyline_bench.written"
 KEPT = "skyline_bench.kept"
-"""A folder of files that are kept for the next time; they change no figure."""
+"""A folder of files that are kept for the next run; they do not change any figure."""
 _CODE = "skyline", "shaders", "bench/skyline_bench", "bench/skyline_training"
 
 
@@ -62,10 +62,10 @@ class Run:
         return self.context.params.get("seed")
 
     def command(self) -> str:
-        """Return the command as a shell takes it.
+        """Return the command for a shell.
 
-        It has all options that were given, and the seed. Files that it writes are named without
-        their folders, and a folder in which stores are kept is left out.
+        It has all given options, and the seed. Files that it writes are named without their
+        folders, and a folder in which stores are kept is left out.
         """
         program = self.context.find_root().info_name or ""
         words = [*program.split(), self.bench]
@@ -89,10 +89,9 @@ class Run:
         ]
 
     def inputs(self, more: Iterable[Path] = ()) -> list[dict[str, str]]:
-        """Return the paths and the digests of what was read.
+        """Return the paths and digests of all files and folders read.
 
-        Files and folders are read. ``more`` are files that the files named on the command line
-        name. Addresses are left out.
+        ``more`` are files that are named in files on the command line. Addresses are left out.
         """
         read = self._named(READ)
         given = [one for param, values in self._given() if param.name in read for one in values]
@@ -121,7 +120,7 @@ class Run:
 
 
 def _word(value: object) -> str:
-    """Return a value as a command line has it.
+    """Return a value for a command line.
 
     Whole numbers have no point.
     """
@@ -140,8 +139,8 @@ def write_record(
 ) -> None:
     """Write a run's record as JSON, if the run asks for one.
 
-    The file is written whole or not at all. Numbers that are not finite, for which JSON has no
-    word, are written as null.
+    The file is written whole or not at all. Numbers that are not finite, which JSON cannot hold,
+    are written as null.
 
     Parameters
     ----------
@@ -153,7 +152,7 @@ def write_record(
     terrain : HeightField, optional
         The elevation model, whose digest and bounds are written.
     bounds_deg : tuple, optional
-        The area that was measured, where it is not all of the terrain.
+        The area that was measured, if it is not all of the terrain.
     stores : mapping, optional
         `Store.digest` of each store that was searched, by its name in the rows.
     files : iterable of Path

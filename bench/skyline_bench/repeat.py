@@ -39,9 +39,8 @@ def repeat(
 ) -> None:
     """The command of a record once more, on the same data.
 
-    The new record is compared with the old one. Data with another digest than the
-    record's are refused. A record keeps its name, so --output decides whether it
-    is replaced.
+    The new record is compared with the old one. Data whose digest differs from the record's are
+    refused. A record keeps its name, so --output decides whether it is replaced.
     """
     old = read_record(record)
     missing = [name for name in _NEEDED if name not in old]
@@ -75,8 +74,8 @@ def repeat(
 def _inputs_in(folder: Path, record: Path, digests: Mapping[str, str]) -> dict[str, str]:
     """Return the present paths of a record's files, by their names.
 
-    The files are looked for in a folder. Raises `MissingFileError` for a file that is not there,
-    and `InputError` for another digest.
+    The files are searched in a folder. Raises `MissingFileError` for a missing file, and
+    `InputError` for another digest.
     """
     found = {path: _path_in(folder, path) for path in digests}
     absent = [path for path, here in found.items() if here is None]
@@ -101,7 +100,7 @@ def _inputs_in(folder: Path, record: Path, digests: Mapping[str, str]) -> dict[s
 def _path_in(folder: Path, path: str) -> str | None:
     """Return the longest end of a path that exists in a folder.
 
-    An absolute path is returned as it is. None where neither exists.
+    An absolute path is returned unchanged. Returns None if no such path exists.
     """
     given = Path(path)
     if given.is_absolute() and folder == Path() and given.exists():

@@ -1,8 +1,8 @@
 """Shards: one process against workers, each with a part of the places, up to a million km2.
 
-Areas of that size are simulated: one store counts as many stores of an area, and as those of many
-areas, of frames of their own. All processes so map the same file; what they would map of real
-stores is computed.
+Areas of that size are simulated: one store stands for many stores of an area, and for many areas
+with frames of their own. So all processes map the same file; what they would map of real stores is
+computed.
 """
 
 import os
@@ -45,7 +45,7 @@ from skyline_bench.measuring import Row, peak_bytes, square_km
 from skyline_bench.queries.synthetic import make_queries
 
 _AREA_KM2 = 1e5
-"""Size of an area. A store of nine tiles has as much."""
+"""Size of an area, as of a store of nine tiles."""
 _LISTED = 400
 """Poses of a short list; a search of few places has as many."""
 
@@ -119,7 +119,7 @@ class _Again(PlaceMap):
 
 
 class _SameArea(OpenAreas):
-    """A store that counts as so many stores of every area."""
+    """A store that stands for several stores of every area."""
 
     def __init__(self, store: Path, files: tuple[str, ...], copies: int) -> None:
         super().__init__([store], files)
@@ -131,7 +131,7 @@ class _SameArea(OpenAreas):
 
 
 class _Search:
-    """A photo, and a store that counts as many."""
+    """A photo, and a store that stands for many."""
 
     def __init__(self, terrain: HeightField, store: Store, runner: Runner, seed: int) -> None:
         self._terrain = terrain

@@ -1,9 +1,8 @@
 """Summits' names and pixels' places in made photos, against the truth.
 
 The truth is the terrain that the photos show. A summit is a sample that is the highest for 500 m
-around. It is visible if no terrain stands before it, up to 150 m from it: nearer ground is the
-summit's own. Lines of sight to summits are followed in steps of 1 m, and the rays of pixels in
-steps of 5 m.
+around. It is visible if no terrain hides it; ground within 150 m of it is the summit's own. Lines
+of sight to summits are followed in steps of 1 m, and the rays of pixels in steps of 5 m.
 """
 
 from collections.abc import Sequence
@@ -28,7 +27,7 @@ HEIGHT_SD_M = 10.0
 _EXACT = ((0.0,) * 7,) * 7
 """Covariance of a true pose."""
 _EACH_PX = 24
-"""Of so many rows and columns one pixel is compared."""
+"""One pixel in this many rows and columns is compared."""
 
 
 def label_row(model: HeightField, seen: HeightField, posed: Sequence[Posed]) -> dict[str, Any]:
@@ -77,7 +76,8 @@ def pixel_row(model: HeightField, seen: HeightField, posed: Sequence[Posed]) -> 
     """Return how far the places of pixels are from the true ones.
 
     Places are found on ``model``, and the true ones lie on ``seen``. The standard error of a place
-    along its ray is the model's error in height over the angle at which the ray meets the ground.
+    along its ray is the model's height error divided by the angle at which the ray meets the
+    ground.
     """
     errors = list[Float64Array]()
     for query, pose in posed:
@@ -153,7 +153,7 @@ def _in_picture(
 ) -> tuple[Float64Array, Float64Array, Float64Array, Float64Array, BoolArray]:
     """Return easting, northing, column, row and visibility of summits in a photo.
 
-    Where there are more than 30, these are drawn at random.
+    If there are more than 30, 30 are drawn at random.
     """
     truth = query.truth
     size = query.skyline

@@ -1,4 +1,4 @@
-"""Sky view factors at every sample of a DEM: their time and their error by the step of azimuths."""
+"""Sky view factors of a DEM: time and errors by azimuth step."""
 
 import time
 from dataclasses import replace
@@ -38,8 +38,8 @@ def sky_view(
 ) -> None:
     """The sky view factor of a whole DEM: seconds, and errors by the step of azimuths.
 
-    A square is cut out of the DEM's middle, and is the whole DEM of the measurement. Errors are
-    differences from factors of horizons of 0.5 degrees at n of its samples.
+    A square is cut out of the DEM's middle, and taken as the whole DEM. Errors are differences from
+    factors of horizons with steps of 0.5 degrees at n of its samples.
     """
     terrain = _middle(read_dem(dem, DemOptions(crs=crs)), side)
     with Terminal().progress("measuring") as progress:

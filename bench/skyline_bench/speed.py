@@ -69,12 +69,11 @@ def speed_error(
 
     Times are milliseconds a viewpoint; errors are differences from the oracle.
 
-    Viewpoints stand on a 100 m grid in the DEM's middle, and n of them are
-    compared with the oracle. Errors are over the columns that neither side flags,
-    in px of W = 640 whatever the width; of skylines all the way round, as places
-    have them, they are of elevation angles.
-    Embree needs embreex (extra peers), GRASS `grass` on the path: a peer that is
-    not installed is left out.
+    Viewpoints stand on a 100 m grid in the DEM's middle, and n of them are compared with the
+    oracle. Errors are over the columns that neither side flags, in px of W = 640 whatever the
+    width; for skylines all the way round, as places have them, they are errors of elevation angles.
+    Embree needs embreex (extra peers), GRASS `grass` on the path: a peer that is not installed is
+    left out.
     """
     terrain = read_dem(dem, DemOptions(crs=crs))
     with Terminal().progress("measuring") as progress:
@@ -162,10 +161,10 @@ def _ways(
 
 
 def _grass(terrain: HeightField, eyes: Viewpoints) -> Row:
-    """Return the row of r.horizon, which takes place by place.
+    """Return the row of r.horizon, which takes one place at a time.
 
-    It stands on the nearest sample, knows no curvature and no angle below zero; so does the truth
-    that it is compared with.
+    It stands on the nearest sample, and has neither curvature nor angles below zero; the same holds
+    for the truth with which it is compared.
     """
     row, col = (
         np.rint(at) for at in terrain.to_grid(easting_m=eyes.easting_m, northing_m=eyes.northing_m)

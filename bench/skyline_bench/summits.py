@@ -1,7 +1,8 @@
 """The summits of a DEM's file against the summits of its surface.
 
-The surface, from which skylines are rendered, is the field that `read_dem` returns. Where that was
-warped, plain bilinear interpolation at the same samples, which keeps no summit, stands beside it.
+The surface, from which skylines are rendered, is the field that `read_dem` returns. If that was
+warped, it is compared with plain bilinear interpolation at the same samples, which does not keep
+summits.
 
 On the surface as it is read, horizons are rendered too: from places beside the most prominent
 summits, as far from them as true coordinates are, and from places anywhere.
@@ -45,7 +46,7 @@ LOW_DEG = 3.0
 """Upper bound of the elevation angles that a summit's horizon should have."""
 
 _APART_M = 1000.0
-"""A summit is the highest sample so far around."""
+"""A summit is the highest sample within this distance."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -283,10 +284,7 @@ def _surface_around(surface: HeightField, easting: Float64Array, northing: Float
 def _summit_errors(
     surface: HeightField, file: _File, row: Int64Array, col: Int64Array, config: SummitsConfig
 ) -> Row:
-    """Return how far summits are too high or too low.
-
-    This is also measured as eyes see it.
-    """
+    """Return how far summits are off, also as eyes see them."""
     summit, eyes = _sights(file, row, col, config)
     error_m = []
     seen_m = []
@@ -347,8 +345,8 @@ def _sights(
 ) -> tuple[Int64Array, Float64Array]:
     """Draw eyes about each summit that see it from below.
 
-    They see it over the terrain. Returned are the summits (S,) that eyes (3, S) see: easting,
-    northing, elevation.
+    The results are the summits (S,) and the eyes (3, S) that see them: easting, northing,
+    elevation.
     """
     rng = np.random.default_rng(0)
     shape = row.size * config.eyes
@@ -385,8 +383,8 @@ def prominences(heights_m: ArrayLike) -> tuple[Int64Array, Int64Array, Float64Ar
     They are given as rows, columns and prominences (S,). Samples (rows, cols) rise out of a falling
     flood, the highest first. A sample that touches no land is a summit. One that joins two lands is
     the pass between them: the lower of their summits has the height above it for its prominence.
-    The summit of a land that never joins a higher one is as prominent as it is high above the
-    lowest sample. Holes (NaN) stay under water.
+    The prominence of a land that never joins a higher one is its height above the lowest sample.
+    Holes (NaN) stay under water.
     """
     padded = np.pad(np.asarray(heights_m, np.float64), 1, constant_values=np.nan)
     height_m = padded.ravel().tolist()

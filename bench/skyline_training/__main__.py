@@ -67,7 +67,7 @@ def panoramas(
 ) -> None:
     """Draw panoramas as phones make them.
 
-    Their manifest is written, too, with which they are measured.
+    A manifest to measure them with is written, too.
     """
     with Terminal().progress("panoramas") as progress:
         write_panoramas(read_dem(dem, DemOptions(crs=crs)), out, photos, seed, progress)
@@ -120,7 +120,7 @@ def orientation(
     seed: options.Seed = 100,
     quick: Annotated[bool, options.quick_with(queries=1)] = False,
 ) -> None:
-    """Learn how far headings at known places can be believed.
+    """Learn how far headings at known places can be trusted.
 
     The reliability is shown on Davos.
     """

@@ -2,7 +2,7 @@
 
 A pose is right if it lies near the truth and looks the same way. A logistic model is fitted to the
 examples of Sierra, Rofental and Everest with a small ridge, and its reliability is shown on Davos.
-From kept examples, another model is learned in seconds.
+If the examples are kept, another model is learned in seconds.
 """
 
 import json
@@ -27,8 +27,8 @@ Reliability = tuple[str, Float64Array, BoolArray]
 """A label, probabilities (N,), and whether the answers were right (N,)."""
 
 _RIDGE = 1e-3
-"""Examples of terrain left out, and of kinds left out, are as likely with ridges of 3e-4 to 3e-3. A
-larger ridge draws all probabilities to the middle."""
+"""Examples of terrain and of kinds left out are equally likely with ridges of 3e-4 to 3e-3. A
+larger ridge pulls all probabilities to the middle."""
 _BETTER_HIGH = {
     "inlier_share", "log_columns", "log_odds", "log_far_margin", "margin", "log_margin",
     "retrieved_log_margin", "retrieved_log_far_margin",
@@ -37,8 +37,8 @@ _BETTER_LOW = {
     "cost", "log_residual", "log_position_sd", "log_height_sd", "log_heading_sd", "log_moved",
     "lens_deviations", "roll_deg", "warp_deviations",
 }  # fmt: skip
-"""Figures that make a pose no less likely to be right the higher, or the lower, they are. Of the
-others, which describe the photo, either may be."""
+"""Figures that never make a pose less likely to be right when they rise, or when they fall. The
+others describe the photo, and may act either way."""
 _STRANGERS_WEIGHT = 0.5
 """Weight of strangers. A fifth of the examples are strangers, so that there
 are enough to learn from; among real photos they are rarer."""
@@ -89,7 +89,7 @@ def learn(examples: Sequence[Example], within_m: float) -> Logistic:
 
 
 def _limits_of_slope(name: str) -> tuple[float | None, float | None]:
-    """Return the least and the greatest slope of a figure, None where there is no limit."""
+    """Return the least and the greatest slope of a figure, or None."""
     return 0.0 if name in _BETTER_HIGH else None, 0.0 if name in _BETTER_LOW else None
 
 
@@ -193,7 +193,7 @@ def _rated_kind(
 ) -> Row:
     """Return how well probabilities hold for a kind.
 
-    The worst heading that is answered is returned with it.
+    The second result is the worst answered heading.
     """
     row = rated(model, terrain, sure, right)
     answered = turn_deg[(sure >= MatchConfig().min_confidence) & np.isfinite(turn_deg)]
@@ -222,7 +222,7 @@ def rated(
 
 
 def save_reliability(path: Path, shown: Iterable[Reliability]) -> None:
-    """Save the reliability diagram: how often answers are right against their confidence."""
+    """Save a diagram of how often answers are right, by confidence."""
     figure = Figure(figsize=(6.4, 6.6), layout="constrained")
     axis = figure.subplots()
     axis.plot([0, 1], [0, 1], ":", color="black", linewidth=0.8)

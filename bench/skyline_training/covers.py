@@ -169,9 +169,9 @@ def _houses(drawing: Drawing) -> None:
 
 
 def _window(drawing: Drawing) -> None:
-    """Look out of a car, a door or a tent.
+    """Draw the frame of a car's window, a door or a tent.
 
-    It is dark all round an opening.
+    It is dark all round the opening.
     """
     rng, (height, width) = drawing.rng, drawing.size
     mask = np.full((height, width), 255, np.uint8)

@@ -3,9 +3,9 @@
 Synthetic queries of many kinds, some taken outside the mapped area, are matched on Sierra,
 Rofental, Everest and Davos: skylines with errors and things in front, of the store's own model and
 of others; made photographs, whose skylines are extracted; photos that note where they were taken,
-rightly or wrongly. A third of the lenses are given, a third are noted by one value of EXIF, and a
-third are unknown. For each query the figures of the best pose (`skyline.match.confidence`) and its
-error are an example.
+rightly or wrongly. A third of the lenses are given, a third are noted by one EXIF value, and a
+third are unknown. The figures of each query's best pose (`skyline.match.confidence`) and its error
+form an example.
 """
 
 import json
@@ -105,7 +105,7 @@ def gather_matches(
 ) -> Examples:
     """Match queries on every terrain, each in a process; return the examples.
 
-    Stores have so many places, or by default as many as `build` plans.
+    Stores have ``places`` places, by default as many as `build` plans.
     """
     return on_each_terrain(partial(_gathered_on, data, queries, seed, places), progress)
 
@@ -125,7 +125,7 @@ def _gathered_on(
 ) -> dict[str, list[Example]]:
     """Match queries of each kind on one terrain; return examples by stage.
 
-    There are so many ``queries`` of each kind, drawn by a seed.
+    There are ``queries`` queries of each kind, drawn by a seed.
     """
     terrain, strange = read_terrains(data, name)
     with tempfile.TemporaryDirectory() as folder:
@@ -199,7 +199,7 @@ def _noted(
 ) -> list[tuple[SyntheticQuery, Prior]]:
     """Return queries with the places that they note.
 
-    Some of these are any place of the area.
+    Some note a random place in the area.
     """
     rng = np.random.default_rng([seed, 1])
     west, south, east, north = area_m
@@ -217,7 +217,7 @@ def _noted(
 def photographed(
     terrain: HeightField, queries: Iterable[SyntheticQuery], seed: int
 ) -> Iterator[SyntheticQuery]:
-    """Yield queries with the skylines that are extracted from photographs of them.
+    """Yield queries with skylines extracted from photographs of them.
 
     A query is left out if no skyline is found in its photograph.
     """
@@ -262,9 +262,9 @@ def _matcher(
 def examples_from(
     matcher: FullMatcher, queries: Sequence[tuple[SyntheticQuery, Prior]], kind: str
 ) -> Iterator[tuple[str, Example]]:
-    """Yield stages and examples of each query of a kind.
+    """Yield the stages and examples of each query of a kind.
 
-    A query that fits nowhere gives none.
+    A query that fits nowhere yields none.
     """
     for query, prior in queries:
         try:
@@ -310,8 +310,8 @@ def middle_of(terrain: HeightField, side_m: float = SIDE_M, wider: float = 1.0) 
 def strangers_of(terrain: HeightField, queries: int, seed: int) -> list[SyntheticQuery]:
     """Make queries of every kind in a terrain's middle.
 
-    Plain ones and photographs are among them. There is a stranger of each kind for so many of
-    ``queries``: `STRANGERS_SHARE`.
+    Plain ones and photographs are among them. There is a stranger of each kind for every
+    `STRANGERS_SHARE` of ``queries``.
     """
     count, area = max(queries // STRANGERS_SHARE, 1), middle_of(terrain)
     made = {
@@ -325,8 +325,8 @@ def strangers_of(terrain: HeightField, queries: int, seed: int) -> list[Syntheti
 def with_lenses(queries: Iterable[SyntheticQuery], seed: int) -> list[SyntheticQuery]:
     """Return queries with lenses known in three ways, in turn.
 
-    The field of view is given; it is noted by one value of EXIF, with the error that is expected of
-    one (`skyline.photo.noted_fov`); it is not known.
+    The field of view is given, or noted by one EXIF value with its expected error
+    (`skyline.photo.noted_fov`), or unknown.
     """
     rng = np.random.default_rng([seed, 3])
     made = []
@@ -344,8 +344,8 @@ def with_lenses(queries: Iterable[SyntheticQuery], seed: int) -> list[SyntheticQ
 def _noted_alone(fov_deg: float, rng: np.random.Generator) -> Lens:
     """Return the lens of a photo with one value in EXIF.
 
-    The value is the true field of view with an error. Of a cropped photo it is the field of view
-    before the crop.
+    The value is the true field of view with an error; for a cropped photo, the field of view before
+    the crop.
     """
     tangent = math.tan(math.radians(fov_deg) / 2.0) * math.exp(NOMINAL_SD * rng.standard_normal())
     if rng.uniform() < CROP_SHARES.resized:
@@ -367,5 +367,5 @@ def read_examples(path: Path) -> Examples:
 
 
 def write_examples(examples: Examples, path: Path) -> None:
-    """Write examples, to learn another model from the same matches."""
+    """Write examples, so that another model can be learned from them."""
     path.write_text(json.dumps(examples, default=asdict))

@@ -2,7 +2,7 @@
 
 A fractal height field is seen in perspective, lit, and veiled. Columns of the picture march over
 the height field together, nearest first; a point is seen if it rises above all nearer points.
-Everything that differs between photographs is drawn at random.
+Everything that differs between photographs is random.
 """
 
 from dataclasses import dataclass
@@ -76,7 +76,7 @@ def fractal(
 ) -> Float32Array:
     """Return periodic noise with a power-law spectrum.
 
-    It has unit deviation, and no waves longer than a limit.
+    It has a standard deviation of 1, and no waves longer than a limit.
     """
     down = np.fft.fftfreq(shape[0])[:, np.newaxis]
     across = np.fft.rfftfreq(shape[1])[np.newaxis, :] * stretch
@@ -107,9 +107,9 @@ def _noises(seed: int) -> tuple[Float32Array, ...]:
 
 
 def draw_heights(rng: np.random.Generator, family: int) -> Float32Array:
-    """Return a periodic height field of a family, metres.
+    """Return a family's periodic height field, metres.
 
-    It has rolling hills to sharp ridges.
+    It has anything from rolling hills to sharp ridges.
     """
     rolling, creased, rough = _noises(family)[:3]
     sharp = rng.uniform(0.0, 1.0)
@@ -276,7 +276,7 @@ def draw_sky(
 ) -> tuple[Float32Array, NDArray[np.float32]]:
     """Draw a sky (H, W, 3) with clouds.
 
-    The colour that haze takes from it is returned, too.
+    The second result is the colour that haze takes from it.
     """
     kinds, shares = (
         ["blue", "grey", "white", "warm", "dark", "any"],

@@ -66,8 +66,8 @@ def _conv(
 class _Block(nn.Module):
     """An inverted residual block.
 
-    The input is made wider, each channel is convolved by itself, the result is made narrower and
-    added to the input.
+    The input is widened, each channel is convolved by itself, and the result is narrowed and added
+    to the input.
     """
 
     def __init__(
@@ -104,8 +104,8 @@ _STAGES = (
     (112, 3, 5, 1, 6),
     (192, 4, 5, 2, 6),
 )
-"""Channels, blocks, kernel, stride and widening of the stages of EfficientNet-Lite0. Its last one
-only tells apart what ImageNet has names for."""
+"""Channels, blocks, kernel, stride and widening of the stages of EfficientNet-Lite0. The last one,
+which only tells ImageNet's classes apart, is left out."""
 
 
 class SkyNet(nn.Module):
@@ -163,8 +163,8 @@ _WIDE = 2.0
 """Aspect of a panorama; half of the photographs in batches of panoramas' shapes are panoramas."""
 _BATCH = {"cuda": 64, "cpu": 8}
 _KEPT = {"cuda": 20480, "cpu": 2048}
-"""Photographs to learn from that are kept, beside a quarter as many panoramas. New ones replace the
-oldest."""
+"""Photographs that are kept to learn from, besides a quarter as many panoramas. New ones replace
+the oldest."""
 _FIRST = 32
 """Photographs that must be there before training begins."""
 _CALIBRATED_ON, _CALIBRATED_CUTS = 64, 8
@@ -173,14 +173,15 @@ _SCALES = np.geomspace(0.6, 2.0, 25).tolist()
 """Factors on the log-odds that are tried."""
 _LEARNING_RATE = 3e-3
 _ENCODER_SHARE = 0.1
-"""Share of the rate at which the encoder learns: it keeps what it knows of real photographs."""
+"""The encoder's learning rate, as a share of the decoder's: it keeps what it knows of real
+photographs."""
 _WEIGHT_DECAY = 1e-3
 _WARM_UP_STEPS = 200
 _AVERAGE = 0.998
 """Share of the averaged weights that is kept at each step."""
 _SEGMENTATION_WEIGHT = 0.5
 _SPREAD_PX = 0.6
-"""Deviation over which a true row is spread, pixels of the scores."""
+"""Standard deviation over which a true row is spread, in pixels of the scores."""
 _LAST_STEPS = 100
 
 
@@ -398,7 +399,7 @@ def taught_by_imagenet() -> SkyNet:
 def _calibrate(net: SkyNet, photos: Iterator[TrainingPhoto], rng: np.random.Generator) -> None:
     """Scale the log-odds so that they are likeliest on other photographs.
 
-    The network was not trained on these. Averaged weights doubt too much: the weights of Skyline's
+    The network was not trained on these. Averaged weights are too unsure: the weights of Skyline's
     first run needed a factor of 1.3.
     """
     albums = list[_Album]()
@@ -451,7 +452,7 @@ def _skyline_loss(odds: Tensor, row: Tensor) -> Tensor:
 
 
 def _fused(net: nn.Module) -> nn.Module:
-    """Fold what normalizes a convolution's output into its weights, throughout."""
+    """Fold all normalizations into the weights of their convolutions."""
     for name, part in list(net.named_children()):
         setattr(net, name, _fused(part))
     parts = list(net.named_children())

@@ -119,7 +119,7 @@ def _figures_of(orienter: Orienter, query: SyntheticQuery) -> tuple[dict[str, fl
 def learn_orientation(
     examples: dict[str, list[Example]],
 ) -> tuple[Logistic, list[Row]]:
-    """Learn the model, and hold it to every terrain."""
+    """Learn the model, and test it on every terrain."""
     model = learn([one for name in LEARNED for one in examples[name]], RIGHT_DEG)
     rows = [
         rated(

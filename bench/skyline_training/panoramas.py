@@ -29,7 +29,7 @@ _DRAWN_PX, _TIMES = (2060, 485), 4
 """Size at which panoramas are drawn, and the factor by which they are enlarged."""
 _RENDERED_PX = 2048
 _WITHIN_M = 4_500.0
-"""Distance of eyes from the area's middle: all of them are searched in one area."""
+"""Greatest distance of eyes from the area's middle, since all are searched in one area."""
 _TRIES = 400
 _FAR_M = 2_000.0
 """Least median distance of the skyline: nobody sweeps a phone along a bank."""
@@ -46,7 +46,7 @@ def draw_panorama(
 ) -> TrainingPhoto | None:
     """Draw the view from one eye about a grid azimuth.
 
-    None where the skyline is near.
+    Returns None if the skyline is near.
     """
     width, height = _DRAWN_PX
     focal_px = width / np.radians(FOV_DEG)

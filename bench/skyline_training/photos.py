@@ -41,7 +41,7 @@ from skyline_training.workers import over_processes
 _SIZE_PX = (560, 416)
 _PANORAMA_PX = (1232, 280)
 _WAYS = 8
-"""Of so many photographs, one is drawn plainly, one is a view and one is a panorama: no single way
+"""One photograph in this many is drawn plainly, one is a view and one is a panorama: no single way
 of drawing is like the world."""
 _FAMILY = 64
 """Photographs in a row whose views are of the same terrain."""
@@ -50,7 +50,7 @@ _FAR_RIDGES_CHANCE = 0.5
 _LOW_SUN_CHANCE = 0.2
 """Chance of mountains against the light, or lit by a sun at the horizon."""
 _NEAR_SLOPE_CHANCE = 0.5
-"""Chance of a dark slope before the mountains: it must not be taken for the skyline."""
+"""Chance of a dark slope in front of the mountains, which must not be taken for the skyline."""
 _CUT_SKY_CHANCE = 0.15
 """Chance of a sky of one colour: burnt out, or cut away by a program."""
 _PANORAMA_DEG = 90.0
@@ -137,10 +137,7 @@ def draw_training_photo(
 
 
 def _seen(row: Float32Array, label: UInt8Array, image: UInt8Array) -> Float32Array:
-    """Drop the skyline where it does not separate sky from ground.
-
-    It also goes where sky and ground look the same.
-    """
+    """Drop the skyline where it does not separate sky from ground."""
     height, width = label.shape
     smooth = cv2.blur(image.astype(np.float32), (5, 3))
     at = np.nan_to_num(row, nan=0.0)
@@ -155,7 +152,7 @@ def _seen(row: Float32Array, label: UInt8Array, image: UInt8Array) -> Float32Arr
 
 
 def _far_ridges(drawing: Drawing) -> None:
-    """Put pale ridges behind the mountains, one before another."""
+    """Put pale ridges behind the mountains, one in front of another."""
     rng, (height, width), row, haze = drawing.rng, drawing.size, drawing.row, drawing.haze
     known = row[np.isfinite(row)]
     line = float(np.median(known)) if known.size else 0.5 * height
@@ -182,7 +179,7 @@ def _far_ridges(drawing: Drawing) -> None:
 
 
 def _near_slope(drawing: Drawing) -> None:
-    """Put a slope or a knoll before mountains.
+    """Put a slope or a knoll in front of mountains.
 
     It is often veiled; it is dark or bare, or has its own trees.
     """
@@ -238,7 +235,7 @@ def _mirror(drawing: Drawing) -> None:
 def _banks(drawing: Drawing) -> None:
     """Lay clouds on the ridge.
 
-    They hide it, and where they end is no skyline.
+    They hide it, and their edge is not a skyline.
     """
     rng, (height, width), row = drawing.rng, drawing.size, drawing.row
     known = np.flatnonzero(np.isfinite(row))

@@ -1,6 +1,6 @@
 """Drawn mountain photos with known skylines, without terrain.
 
-They are hard, and an extractor learns from them. They are drawn without a renderer, from fractal
+An extractor learns from them, so they are hard. They are drawn without a renderer, from fractal
 ridges in front of one another, shaded rock, snow, haze, skies and clouds, things in front, and the
 effects of camera and file. A `Recipe` says how much of each; `CONDITIONS` names the recipes.
 """
@@ -83,7 +83,7 @@ CONDITIONS: Mapping[str, Recipe] = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DrawnPhoto:
-    """A photo and what is true of it."""
+    """A photo and the truth about it."""
 
     image: UInt8Array  # (H, W, 3)
     row_px: Float64Array  # (W,); the terrain's skyline, also where it is hidden; NaN in borders
@@ -114,9 +114,9 @@ _Cover = tuple[Float32Array, ArrayLike]
 def _fractal(
     rng: np.random.Generator, shape: tuple[int, int], slope: float, stretch: float = 1.0
 ) -> Float32Array:
-    """Return noise of unit deviation with a power-law spectrum.
+    """Return noise with a power-law spectrum and a deviation of 1.
 
-    It is ``stretch`` times as wide.
+    It is stretched ``stretch`` times in width.
     """
     padded = (2 * ((shape[0] + 65) // 2), 2 * ((shape[1] + 65) // 2))
     down = np.fft.fftfreq(padded[0])[:, np.newaxis]
@@ -165,7 +165,7 @@ def _sky(rng: np.random.Generator, recipe: Recipe) -> Float32Array:
 def _mountains(
     rng: np.random.Generator, recipe: Recipe, sky: Float32Array
 ) -> tuple[Float32Array, Float64Array]:
-    """Return ridges before the sky, and their skyline.
+    """Return ridges in front of the sky, and their skyline.
 
     Ridges come in order from the farthest to the nearest.
     """
@@ -271,7 +271,7 @@ def _tree(rng: np.random.Generator, width: int, height: int) -> Float32Array:
 def _person(rng: np.random.Generator, width: int, height: int) -> Float32Array:
     """Return a head on shoulders, about as high as the ridge.
 
-    It may rise over the ridge.
+    It may rise above the ridge.
     """
     rows, columns = np.mgrid[0:height, 0:width].astype(np.float32)
     size = rng.uniform(0.05, 0.12) * height

@@ -27,8 +27,8 @@ _AHEAD = 4
 def over_processes(work: Callable[[T], R], items: Iterable[T]) -> Generator[R]:
     """Yield what work returns for each item, in order.
 
-    Work, items and results are picklable. The items may have no end: the processes are a few of
-    them ahead, until the iterator is closed.
+    Work, items and results must be picklable. The items may be endless: the processes stay a few
+    items ahead, until the iterator is closed.
     """
     # Spawned, since an OpenGL context does not survive a fork.
     context = multiprocessing.get_context("spawn")

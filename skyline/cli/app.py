@@ -25,8 +25,8 @@ _HELP = ["-h", "--help"]
 def command_line(name: str, about: str, commands: type[TyperGroup] | None = None) -> typer.Typer:
     """Return a command line that prints its help or its version.
 
-    The version is printed with ``--version``. ``about`` is the first line of the help; ``commands``
-    the class of the group of commands.
+    The version is printed with ``--version``. ``about`` is the first line of the help, and
+    ``commands`` the class of the group of commands.
     """
     app = typer.Typer(
         name=name,
@@ -167,7 +167,7 @@ def _open_streams() -> None:
 def _flush_streams() -> None:
     """Discard output that cannot be written.
 
-    Otherwise Python would print an error for it at its end.
+    Otherwise Python would print an error for it when it exits.
     """
     for stream in (sys.stdout, sys.stderr):
         try:

@@ -82,10 +82,7 @@ def _finds_in_words(classes: Sequence[tuple[float, float, float]]) -> str:
 
 
 def built_in_words(result: BuildResult, path: Path, rows: str) -> str:
-    """Return a sentence on a store's rows and its size.
-
-    It also has the time that new rows took.
-    """
+    """Return a sentence on a store's rows, its size and its time."""
     size = f"{path.stat().st_size / 1e6:.1f} MB"
     if not result.rendered:
         return f"{path}: {result.rows} {rows}, complete: nothing was left to render, {size}"

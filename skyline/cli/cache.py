@@ -22,8 +22,7 @@ def cache(
 ) -> None:
     """List what is kept: areas, and elevation models that were read.
 
-    The folder of an area stands wherever a store is expected, as in `skyline serve
-    FOLDER`.
+    Commands take the folder of an area wherever they take a store, as in `skyline serve FOLDER`.
     """
     terminal = Terminal.of(context, as_json)
     areas = _areas()
@@ -49,7 +48,7 @@ def cache(
 
 
 def _areas() -> list[dict[str, Any]]:
-    """Return the areas, without those that another process removes meanwhile."""
+    """Return the areas, except any that another process removes meanwhile."""
     areas = []
     for one in cached_areas():
         with suppress(FileNotFoundError):

@@ -48,7 +48,7 @@ def cross(
 
 
 def _in_words(found: Crossed) -> str:
-    """Return the answer in lines of words."""
+    """Return the answer as lines of text."""
     at = found.crossing
     east_m, north_m, up_m = np.sqrt(np.diag(at.covariance_m2)).tolist()
     ground = ""
@@ -67,7 +67,7 @@ def _in_words(found: Crossed) -> str:
 
 
 def _record(found: Crossed) -> dict[str, Any]:
-    """Return the answer as JSON has it."""
+    """Return the answer for JSON."""
     at = found.crossing
     return {
         "lon": found.lon,

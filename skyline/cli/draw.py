@@ -47,8 +47,8 @@ def draw(
 ) -> None:
     """Lay lines drawn in a photo on the map, or draw the map's into the photo.
 
-    What is drawn in the photo gets places, elevations, lengths and areas, with their errors. What
-    is on the map is drawn into the photo, hidden parts dashed.
+    Shapes drawn in the photo get places, elevations, lengths and areas, with their errors. Shapes
+    of the map are drawn into the photo, with hidden parts dashed.
     """
     terminal = Terminal.of(context)
     task = DrawTask(

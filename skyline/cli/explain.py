@@ -22,7 +22,7 @@ def explain(
 ) -> None:
     """Show which terrain a skyline depends on.
 
-    The terrain that is left out and the resulting error are shown, too.
+    It also shows the terrain that is left out, and the resulting error.
     """
     terminal = Terminal.of(context, as_json)
     position = parse_position(at)

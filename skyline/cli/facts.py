@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 def table_of(facts: Mapping[str, object], meanings: Mapping[str, str] | None = None) -> str:
     """Return facts as a table, with numbers as options take them.
 
-    ``meanings`` has what numbers say that their names do not.
+    ``meanings`` explains numbers whose names do not.
     """
     rows = list(_rows(facts))
     width = max(len(name) for name, _ in rows)
@@ -17,7 +17,7 @@ def table_of(facts: Mapping[str, object], meanings: Mapping[str, str] | None = N
 def _rows(facts: Mapping[str, object], prefix: str = "") -> Iterator[tuple[str, str]]:
     """Yield the name and the text of each line.
 
-    A list of texts has a line for each text.
+    Each text in a list gets a line.
     """
     for name, value in facts.items():
         if isinstance(value, Mapping):

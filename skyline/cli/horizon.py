@@ -61,8 +61,8 @@ def horizon(
         Path | None,
         Option(
             metavar="PHOTO",
-            help="Take the horizon that a photo shows, trees and houses included, where it shows "
-            "one; with --pose, in place of a position.",
+            help="Use the horizon of this photo, trees and houses included, where it shows one; "
+            "with --pose, in place of a position.",
         ),
     ] = None,
     pose: Annotated[Path | None, POSE] = None,
@@ -72,8 +72,8 @@ def horizon(
 ) -> None:
     """Give the horizon at positions, by azimuth from true north.
 
-    It has an elevation angle and a distance for each azimuth. With --photo, it is
-    the skyline of a photo where the photo shows one.
+    It has an elevation angle and a distance for each azimuth. With --photo, it follows the photo's
+    skyline where the photo shows one.
     """
     terminal = Terminal.of(context)
     _check_places(at, viewpoints, photo, pose)
@@ -115,7 +115,7 @@ def horizon(
 def _check_places(
     at: list[str] | None, viewpoints: Path | None, photo: Path | None, pose: Path | None
 ) -> None:
-    """Raise `InputError` unless one kind of places is given, and a pose with a photo alone."""
+    """Raise `InputError` unless one place is named, a photo with pose."""
     if bool(at) + (viewpoints is not None) + (photo is not None) != 1:
         raise InputError(
             "give positions as --at LON,LAT or as --viewpoints FILE.csv, or a --photo with its "

@@ -57,10 +57,9 @@ def label(
 ) -> None:
     """Write the names of summits on a copy of a photo.
 
-    Their distances are written beside the names. The camera is oriented by the
-    skyline at its position, unless its pose is given. Summits that terrain hides
-    are left out; if none is in view, the photo is written without names. Where
-    the direction is not sure, but more likely right than wrong, the names are
+    Distances stand beside the names. Unless its pose is given, the camera at --at is oriented by
+    the skyline. Summits that terrain hides are left out; if none is in view, the photo is written
+    without names. If the direction is not sure, but more likely right than wrong, the names are
     written with its confidence.
     """
     terminal = Terminal.of(context)

@@ -28,6 +28,7 @@ from skyline.cli.photo_options import (
     SamePlace,
     SearchBounds,
     UseGps,
+    Walked,
     entry_of,
     files_to_write,
     heading_of,
@@ -77,6 +78,7 @@ def match(
     projection: PhotoProjection = None,
     same_place: SamePlace = False,
     use_gps: UseGps = False,
+    walked: Walked = None,
     matcher: Annotated[
         str,
         _search(
@@ -99,13 +101,6 @@ def match(
         ),
     ] = None,
     workers: Workers = None,
-    split: Annotated[
-        bool,
-        Option(
-            "--split",
-            help="With --workers: all workers search for each photo, each in a part of the places.",
-        ),
-    ] = False,
 ) -> None:
     """Find where photos were taken and in which direction the camera looked."""
     stores, photos = split_stores(store, photo)
@@ -136,17 +131,17 @@ def match(
         surface=surface or (),
         same_place=same_place,
         workers=workers,
-        split=split,
         report=report,
         peaks=peaks,
         exports=export or (),
         probability=probability or (),
+        walked_km_h=walked,
         results=results,
     )
     raise typer.Exit(match_photos(task, Terminal.of(context, as_json)))
 
 
 def _is_asked(context: typer.Context, name: str) -> bool:
-    """Return whether an option is given by its name, and not by the environment alone."""
+    """Return whether an option is given on the command line."""
     source = context.get_parameter_source(name)
     return source is not None and source.name != "ENVIRONMENT"

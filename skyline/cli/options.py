@@ -1,7 +1,7 @@
 """Options that several commands have, and readers of their values.
 
-An option has one name and one meaning in all commands. Those that a script would repeat are also
-read from the environment: what is known of a photo is not, since it would hold for other photos.
+An option has one name and one meaning in all commands. Options that a script would repeat are also
+read from the environment, but not what is known of a photo, since it would hold for other photos.
 """
 
 from collections.abc import Callable
@@ -61,7 +61,7 @@ StoreDem = Annotated[
     ),
 ]
 DEM_VARIABLE = "SKYLINE_DEM"
-"""The variable of the elevation files where a command names them by an option."""
+"""The environment variable for options that name elevation files."""
 Dem = Annotated[
     list[str],
     Option("--dem", metavar="DEM", help=DEM_ABOUT, envvar=DEM_VARIABLE),
@@ -138,7 +138,7 @@ SummitWithin = Annotated[
         "--summit-within",
         metavar="M",
         help="Stand on the highest point within M metres; 0 stays where --at is. By default an eye "
-        "keeps its position and, beside a summit of the model, stands as high as the summit.",
+        "keeps its position and, beside a summit of the model, is lifted to the summit's height.",
     ),
 ]
 
@@ -169,7 +169,7 @@ def parse_bounds(text: str) -> "Bounds":
 
 
 def parse_position(text: str, option: str = "--at") -> tuple[float, float]:
-    """Return longitude and latitude from ``LON,LAT``; raises `InputError` for anything else."""
+    """Return longitude and latitude from ``LON,LAT``, or raise `InputError`."""
     error = f"{option} is `{text}`; expected LON,LAT in degrees (WGS 84), e.g. 9.84,46.80"
     lon, lat = numbers_in(text, 2, error)
     if not are_degrees(lon, lat):

@@ -97,8 +97,8 @@ def orient(
 ) -> None:
     """Find how cameras were held at a known position.
 
-    The heading, pitch, roll and field of view of each camera are given. With --points they come
-    from points whose pixel and place are known, with the position.
+    The answer is the heading, pitch, roll and field of view of each camera. With --points it comes
+    from points whose pixel and place are known, and has the position, too.
     """
     terminal = Terminal.of(context, as_json)
     stood = CameraAt(
@@ -139,7 +139,7 @@ def orient(
 def _only_one(photos: list[Path]) -> Path:
     """Return the photo of control points; raises `InputError` for several."""
     if len(photos) != 1:
-        raise InputError(f"--points is of one photo, and {len(photos)} are given; give one")
+        raise InputError(f"--points takes one photo, and {len(photos)} are given; give one")
     return photos[0]
 
 

@@ -1,7 +1,4 @@
-"""Options that commands for photos share.
-
-They give what is known of a photo and of its camera.
-"""
+"""Options that commands for photos share: what is known of the camera."""
 
 import math
 from contextlib import suppress
@@ -53,7 +50,10 @@ _errors = panel("Errors")
 PixelSd = Annotated[
     float,
     _errors(
-        "--pixel-sd", min=0.0, metavar="PX", help="Standard deviation of a drawn column and row."
+        "--pixel-sd",
+        min=0.0,
+        metavar="PX",
+        help="Standard deviation of a drawn column and row.",
     ),
 ]
 HeightSd = Annotated[
@@ -122,9 +122,18 @@ ProbabilityMap = Annotated[
     files_to_write(
         "--probability",
         metavar="FILE",
-        help="Write how probable each place of the searched area is, with an answer or without "
+        help="Write the probability of each place in the searched area, with or without an answer "
         f"({', '.join(POSTERIOR_FILES)}): a GeoTIFF, or outlines of 50, 80 and 95 %; may be "
         "repeated.",
+    ),
+]
+Walked = Annotated[
+    float | None,
+    _known(
+        "--walked",
+        metavar="KM/H",
+        help="With --probability: one person took all photos and went at most at this speed "
+        "between them; each map then counts all photos.",
     ),
 ]
 ReportPeaks = Annotated[

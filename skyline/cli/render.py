@@ -142,10 +142,7 @@ def render(
 
 
 def _coverage_in_words(plan: CoveragePlan, proof: Verification) -> str:
-    """Return a plan's coverage in words.
-
-    It is the coverage that the plan predicts, and the share that renderings confirm.
-    """
+    """Return a plan's coverage, predicted and confirmed, in words."""
     return (
         f"to {plan.config.threshold_px:.3g} px: coverage {100 * proof.predicted:.1f} % predicted, "
         f"{100 * proof.verified:.1f} % verified by rendering ({proof.sampled} covered locations: "

@@ -40,7 +40,7 @@ def serve(
         str,
         Option(
             metavar="ADDRESS",
-            help="Address to listen on; 0.0.0.0 or :: lets other machines in, by all addresses of "
+            help="Address to listen on; 0.0.0.0 or :: lets other machines in by any address of "
             "this machine.",
         ),
     ] = "127.0.0.1",
@@ -67,7 +67,7 @@ def serve(
 
 
 def _split(named: Sequence[Path]) -> tuple[Sequence[Path], Sequence[Path]]:
-    """Return the stores, maybe none, and the photos of the command's arguments."""
+    """Return the stores, if any, and the photos of the arguments."""
     if not named:
         return (), ()
     stores, photos = split_stores(named[0], named[1:])

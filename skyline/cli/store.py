@@ -1,4 +1,4 @@
-"""``skyline store``: stores are checked, repaired, merged and exported."""
+"""``skyline store``: checking, repairing, merging and exporting stores."""
 
 import json
 from contextlib import suppress

@@ -26,7 +26,7 @@ from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M
 
 _STEP_DEG = 0.125
-"""Step of the horizon: the sun needs half a minute for it."""
+"""Step of the horizon, which the sun crosses in half a minute."""
 _SECOND = "%Y-%m-%dT%H:%M:%SZ"
 
 
@@ -42,8 +42,8 @@ def sun(
         str | None,
         Option(
             metavar="LON,LAT",
-            help="A summit: print where to stand, around the position, for sun and moon to be over "
-            "it.",
+            help="A summit: print where to stand, around the position, to see the sun or the moon "
+            "over it.",
         ),
     ] = None,
     within: Annotated[
@@ -123,7 +123,7 @@ def _standpoints(
     eye_height_m: float,
     curvature: Curvature,
 ) -> list[str]:
-    """Return the lines of the places in an area from which a body is over a summit."""
+    """Return lines on places from which a body is over a summit."""
     found = standpoints(
         terrain, summit, day, body, area, eye_height_m=eye_height_m, curvature=curvature
     )

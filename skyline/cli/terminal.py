@@ -35,18 +35,18 @@ if TYPE_CHECKING:
 
 _SLOW_S = 5.0
 _NOTE_EVERY_S = 10.0
-"""Time between notes on how far a step is, where no bar is shown."""
+"""Time between notes on the progress of a step without a bar."""
 
 
 class Terminal:
-    """Prints what one run of a command has to say.
+    """Prints the results, notes, errors and progress of one command.
 
     Parameters
     ----------
     slow_s : float
         Time after which a note names the step that is taking long, seconds.
     every_s : float
-        Time between notes on how far a step is, where no bar is shown, seconds.
+        Time between notes on the progress of a step without a bar, seconds.
 
     Attributes
     ----------
@@ -90,29 +90,20 @@ class Terminal:
             bar.start()
 
     def result(self, record: Mapping[str, Any], text: str) -> None:
-        """Print a result.
-
-        It is printed as its record in one line of JSON, or as the lines of its text.
-        """
+        """Print a result as one line of JSON, or as text."""
         for line in [json.dumps(record)] if self.as_json else text.splitlines():
             self.line(line)
 
     def remark(self, text: str) -> None:
-        """Print a line beside the results; a note beside JSON."""
+        """Print a line with the results; a note with JSON."""
         (self.note if self.as_json else self.line)(text)
 
     def written(self, output: Path, text: str) -> None:
-        """Print a line about a written file.
-
-        It is a note if the file is standard output.
-        """
+        """Print a line about a written file; a note for standard output."""
         (self.note if str(output) == STANDARD else self.line)(f"{output}: {text}")
 
     def note(self, message: str) -> None:
-        """Print a message to standard error, unless the command is quiet.
-
-        It is printed as one line.
-        """
+        """Print a one-line message to standard error, unless the command is quiet."""
         if not self.is_quiet:
             print_aside(message)
 
@@ -123,14 +114,14 @@ class Terminal:
     def keeps(self, advice: str, is_kept: Callable[[], bool] = lambda: True) -> None:
         """Set the advice that the error after Ctrl-C gives.
 
-        It is given only if ``is_kept()`` is true then: the command's work was kept.
+        It is given only if ``is_kept()`` is true then, because the command's work was kept.
         """
         self._advice = advice
         self._is_kept = is_kept
 
     @contextmanager
     def interruptible(self) -> Iterator[None]:
-        """End the block at Ctrl-C, if not at once, then at the next step of progress.
+        """End the block at Ctrl-C: at once, or at the next progress.
 
         Python drops an interrupt that arrives while it clears away a dead weak reference.
         """
@@ -156,10 +147,10 @@ class Terminal:
 
     @contextmanager
     def progress(self, doing: str) -> "Iterator[Progress]":
-        """Show "3 of 6" on standard error; yields a function of progress.
+        """Show progress, such as "3 of 6"; yield a function.
 
-        The function takes the done steps and their total. A terminal has a bar. Elsewhere a line
-        every ten seconds says how far the step is.
+        The function takes the number of finished steps and their total. A terminal shows a bar.
+        Elsewhere a line every ten seconds says how far the step is.
         """
         with self._shown(doing) as show:
 
@@ -172,7 +163,7 @@ class Terminal:
 
     @contextmanager
     def _shown(self, doing: str) -> "Iterator[Progress]":
-        """Yield a function that shows progress as a bar, or as notes without a terminal."""
+        """Yield a function that shows progress as a bar or as notes."""
         if not self._has_bars:
             course = _Course(doing, self.note)
             with _repeated(course.tell, self._every_s):
@@ -184,12 +175,12 @@ class Terminal:
 
     @property
     def _has_bars(self) -> bool:
-        """Whether standard error is a terminal on which lines can be drawn anew."""
+        """Whether standard error is a terminal that can redraw lines."""
         return not self.is_quiet and sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
 
     @contextmanager
     def _shown_bar(self, doing: str, *columns: ProgressColumn) -> "Iterator[Progress]":
-        """Show a line on the terminal while the block runs; yields a function of progress."""
+        """Show a line while the block runs; yield a function of progress."""
         bar = ProgressBar(
             # A name of a file in it may have brackets and braces.
             TextColumn("{task.description}", markup=False),
@@ -209,7 +200,7 @@ class Terminal:
 
     @contextmanager
     def slow(self, doing: str) -> Iterator[None]:
-        """Show on a terminal that the block runs; elsewhere print a note if it takes long."""
+        """Show that the block runs, or note that it takes long."""
         if self._has_bars and self._bar is None:
             with self._shown_bar(doing, SpinnerColumn(), TimeElapsedColumn()):
                 yield
@@ -244,7 +235,7 @@ class _Course:
         self._total = total
 
     def tell(self) -> None:
-        """Print how far the step is, and how long the rest takes at the rate so far."""
+        """Print how far the step is, and the time left."""
         if self._first is None or self._total == 1:
             if not self._is_named:
                 self._note(f"{self._doing.partition(',')[0]} takes a while ...")
@@ -253,7 +244,7 @@ class _Course:
             self._note(f"{self._doing}: {self._done} of {self._total}{self._left(*self._first)}")
 
     def _left(self, started_s: float, before: int) -> str:
-        """Return how long the rest takes, in words; empty before the first part is done."""
+        """Return how long the rest will take, in words; at first empty."""
         if self._done == before:
             return ""
         passed_s = time.monotonic() - started_s
@@ -264,7 +255,7 @@ class _Course:
 
 @contextmanager
 def _repeated(call: Callable[[], None], every_s: float) -> Iterator[None]:
-    """Call a function every so many seconds while the block runs."""
+    """Call a function at intervals while the block runs."""
     ended = threading.Event()
 
     def repeat() -> None:

@@ -1,4 +1,4 @@
-"""``skyline when``: the time of a photo by its sun or a shadow, or its heading."""
+"""``skyline when``: a photo's time or heading, by sun or shadow."""
 
 import math
 from dataclasses import asdict
@@ -43,7 +43,7 @@ def when(
         Option(
             metavar="TIP,FOOT[,TOP]",
             help="A shadow of something upright: column and row of the shadow's tip, of the foot "
-            "of what casts it, and maybe of its top.",
+            "of what casts it, and, if known, of its top.",
         ),
     ] = None,
     as_json: AsJson = False,
@@ -52,8 +52,8 @@ def when(
 ) -> None:
     """Tell when a photo was taken, by its sun, its moon or a shadow.
 
-    With the time in place of the day, tell the camera's heading. Each answer has
-    its standard error. The extra `sun` is needed.
+    Given the time in place of the day, tell the camera's heading. Each answer has its standard
+    error. The extra `sun` is needed.
     """
     terminal = Terminal.of(context, as_json)
     given = {"--sun": sun, "--moon": moon, "--shadow": shadow}
@@ -78,7 +78,7 @@ def when(
 
 
 def _lines(told: Told) -> list[str]:
-    """Return the answer in words, and what was assumed for it."""
+    """Return the answer in words, with the assumed errors."""
     assumed = assumed_lines(told.assumed)
     if told.heading is None:
         return [
@@ -101,7 +101,7 @@ def _lines(told: Told) -> list[str]:
 
 
 def _record(told: Told) -> dict[str, Any]:
-    """Return the answer as JSON has it."""
+    """Return the answer for JSON."""
     if told.heading is None:
         times = [asdict(one) | {"time": f"{one.time:%Y-%m-%dT%H:%M:%SZ}"} for one in told.times]
         return {"times": times, "assumed": told.assumed}

@@ -40,7 +40,7 @@ from skyline.geodesy.bounds import Bounds, box_around, check_bounds, in_turn, wi
 from skyline.terrain.raster_files import bands_of, without_secrets
 
 MAX_TILES = 64
-"""Greatest number of tiles of a fetch: 8 x 8 degrees."""
+"""Most tiles of a fetch: 8 x 8 degrees."""
 
 SOURCES = {
     "copernicus": (
@@ -52,7 +52,7 @@ SOURCES = {
 """The addresses of named sources: Copernicus GLO-30, a surface model of 1 arc-second, on AWS."""
 
 SOURCE_VARIABLE = "SKYLINE_DEM_SOURCE"
-"""The environment variable that names the source that is used by default."""
+"""The environment variable that names the default source."""
 DEFAULT_SOURCE = "copernicus"
 
 _TAG = "SKYLINE_FETCH"
@@ -128,7 +128,7 @@ class _Failures:
 
 
 def source_of(given: str | None) -> str:
-    """Return a given source, else the environment's, else Copernicus."""
+    """Return a given source, else the environment's, else Copernicus's."""
     if given is not None:
         return given
     return os.environ.get(SOURCE_VARIABLE) or DEFAULT_SOURCE
@@ -144,9 +144,9 @@ def fetch_dem(
 ) -> FetchResult:
     """Fetch an area's elevation tiles, each cut to it, as GeoTIFFs.
 
-    A tile is written whole or not at all. A tile that the folder has, of the same source and
-    bounds, is not fetched again: the same call continues a fetch that failed. If it has other
-    bounds, it grows to the box around both.
+    A tile is written whole or not at all. A tile in the folder with the same source and bounds is
+    not fetched again, so the same call continues a failed fetch. A tile with other bounds grows to
+    the box around both.
 
     ``source`` is a name in `SOURCES`, or an http or https address. In an address ``{lat}`` and
     ``{lon}`` stand for the whole degrees, without sign, of a tile's south-west corner, ``{ns}`` and
@@ -156,9 +156,9 @@ def fetch_dem(
     (``patience``). Samples of the same source are copied from ``earlier``, the folders of earlier
     fetches.
 
-    Raises `InputError` where the bounds or the source are not usable, the area is too large or has
-    no tile, or a file is in the way or cannot be written. Raises `FetchError` where tiles could not
-    be fetched after the retries; the others are fetched first, unless the server does not answer or
+    Raises `InputError` if the bounds or the source are not usable, the area is too large or has no
+    tile, or a file is in the way or cannot be written. Raises `FetchError` if tiles could not be
+    fetched after the retries; the others are fetched first, unless the server does not answer or
     fails for two tiles in a row.
     """
     source = source_of(source)
@@ -254,7 +254,7 @@ def tile_corners(bounds_deg: Bounds) -> list[tuple[int, int]]:
 def _cut_of(
     url: str, path: Path, corner: tuple[int, int], bounds_deg: Bounds, patience: Patience
 ) -> _Cut | None:
-    """Return the part of a tile to read; None if held already."""
+    """Return the part of a tile to read; None if already there."""
     source = without_secrets(url)
     if path.exists():
         held: dict[str, Any] = {}

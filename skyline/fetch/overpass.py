@@ -1,6 +1,6 @@
 """Named peaks of an area from an Overpass server.
 
-Such a server answers queries of OpenStreetMap.
+An Overpass server answers queries about OpenStreetMap.
 """
 
 import http.client
@@ -30,9 +30,9 @@ def fetch_peaks(bounds_deg: Bounds, server: str, path: Path, patience: Patience 
     all. ``server`` is the address of an Overpass interpreter. A failed request is repeated up to
     ``patience.retries`` times; the whole answer must arrive within ``patience.timeout_s`` seconds.
 
-    Raises `InputError` where the path has no suffix of GeoJSON, the bounds are not in order, the
-    server is no http address, or the file cannot be written. Raises `FetchError` where the server
-    fails, is too slow, or answers with anything but a list of peaks in the box.
+    Raises `InputError` if the path has no GeoJSON suffix, the bounds are not in order, the server
+    is not an http address, or the file cannot be written. Raises `FetchError` if the server fails,
+    is too slow, or answers with anything but a list of peaks in the box.
     """
     if str(path) != STANDARD:
         suffix_of(path, GEOJSON)
@@ -127,8 +127,8 @@ def _feature(
     inside = lats[0] <= lat <= lats[1] and any(west <= lon <= east for west, east in spans)
     if not inside or not isinstance(name, str):
         raise FetchError(
-            f"{without_secrets(server)}: the answer has {str(element)[:80]!r}, which is no named "
-            "peak in the bounds; nothing was written"
+            f"{without_secrets(server)}: the answer has {str(element)[:80]!r}, which is not a "
+            "named peak in the bounds; nothing was written"
         )
     properties = {"name": printable(name)}
     if height is not None:

@@ -19,7 +19,7 @@ PASSING = (429, 500, 502, 503, 504)
 """HTTP status codes of failures that may pass."""
 
 _UNREACHABLE = re.compile(r"resolve host|connect to|unreachable", re.IGNORECASE)
-"""Words of curl for a server that cannot be found: without a network every attempt fails alike."""
+"""Curl's words for a server that cannot be found: without a network, every attempt fails."""
 
 _T = TypeVar("_T")
 
@@ -55,7 +55,7 @@ class SpoiledError(FetchError):
 
 @dataclass(eq=False)
 class RequestError(Exception):
-    """A failed request: what failed, and the next thing to try."""
+    """A failed request: what failed, and what to try next."""
 
     reason: str
     advice: str
@@ -66,9 +66,9 @@ class RequestError(Exception):
 
 
 def repeated(url: str, request: Callable[[], _T], patience: Patience = PATIENT) -> _T:
-    """Return the result of a request, repeated where it raises a `RequestError`.
+    """Return the result of a request, repeated if it raises a `RequestError`.
 
-    Where the last repetition fails too, raises its `FetchError`.
+    If the last repetition fails too, raises its `FetchError`.
     """
     attempt = 0
     while True:
@@ -89,8 +89,8 @@ def with_remote(url: str, work: Callable[[Any], _T], patience: Patience = PATIEN
     """Return the result of ``work`` on a remote GeoTIFF's rasterio dataset.
 
     After a failure that may pass, ``work`` is called again with the file opened anew. Raises
-    `AbsentError`, `RefusedError` where the server refuses the file or sends something that is not a
-    GeoTIFF, `SpoiledError` where it fails or breaks off, and another `FetchError` where it does not
+    `AbsentError`, `RefusedError` if the server refuses the file or sends something other than a
+    GeoTIFF, `SpoiledError` if it fails or breaks off, and another `FetchError` if it does not
     answer in time.
     """
     settings = {

@@ -9,9 +9,9 @@ from skyline.geodesy.map_frame import Frame
 def lonlat_rings(outline_m: Float64Array, frame: Frame) -> list[Float64Array]:
     """Return an outline in degrees as rings cut at the antimeridian.
 
-    RFC 7946 (3.1.9) requires the cut; without it a map draws the shape around the world. The
-    outline (P, 2) is closed, without a pole inside. The rings (Q, 2) are closed and oriented as the
-    outline is; longitudes are from -180 to 180.
+    RFC 7946 (3.1.9) requires the cut; without it, a map draws the shape around the world. The
+    outline (P, 2) is closed, without a pole inside. The rings (Q, 2) are closed and have the
+    outline's orientation; longitudes are from -180 to 180.
     """
     lon, lat = frame.to_lonlat(*outline_m.T)
     lon = np.unwrap(lon, period=360.0)

@@ -17,7 +17,7 @@ _WGS84_M = 6378137.0
 def is_upright(crs: CRS) -> bool:
     """Return whether a CRS's map is neither mirrored nor upside down.
 
-    Both axes of a polar projection point north, or both south.
+    In a polar projection, both axes may point north, or both south.
     """
     directions = {axis.direction for axis in crs.axis_info[:2]}
     return directions in ({"east", "north"}, {"north"}, {"south"})
@@ -36,7 +36,7 @@ def without_vertical(crs: CRS) -> CRS:
 
 
 def half_axes_m(crs: CRS) -> tuple[float, float]:
-    """Return the half axes of a CRS's ellipsoid at the equator and at the pole; else WGS 84's."""
+    """Return the semi-axes of a CRS's ellipsoid, by default WGS 84's."""
     ellipsoid = crs.ellipsoid or WGS84.ellipsoid
     assert ellipsoid is not None
     return float(ellipsoid.semi_major_metre), float(ellipsoid.semi_minor_metre)
@@ -45,7 +45,7 @@ def half_axes_m(crs: CRS) -> tuple[float, float]:
 def is_of_earth(crs: CRS) -> bool:
     """Return whether a CRS is of the Earth, or names no ellipsoid.
 
-    Ellipsoids and spheres of the Earth differ by less than 0.2 %; no other body's is as near.
+    Ellipsoids and spheres of the Earth differ by less than 0.2 %; no other body has one so similar.
     """
     return abs(half_axes_m(crs)[0] / _WGS84_M - 1.0) < 0.005
 
@@ -75,8 +75,8 @@ def parse_crs(crs: object) -> CRS:
 def transformer(source: CRS, target: CRS) -> Transformer:
     """Return the transformation between two CRS.
 
-    Coordinates are x and y, in the order of raster files. Raises `InputError` where PROJ knows
-    none, as between the Earth and another world.
+    Coordinates are x and y, in the order of raster files. Raises `InputError` if PROJ knows none,
+    as between the Earth and another world.
     """
     try:
         return Transformer.from_crs(source, target, always_xy=True)
@@ -90,7 +90,7 @@ def transformer(source: CRS, target: CRS) -> Transformer:
 def to_wgs84(crs: CRS, x: float, y: float) -> tuple[float, float, str]:
     """Return a point's longitude, latitude and accuracy in words.
 
-    They are in WGS 84, or on the body that the CRS is of.
+    They are in WGS 84, or on the CRS's own body.
     """
     transformation = transformer(crs, lonlat_of(crs))
     if not is_of_earth(crs):

@@ -32,12 +32,12 @@ Rectangle = tuple[float, float, float, float]
 
 TRUE_DEG = 0.05
 """Greatest error of an angle on a map that is used as a frame, in degrees. The best answers claim
-0.1 degrees, as does the noise of a photo's skyline; errors add as squares, so half as much widens
-that by an eighth. UTM is off by 0.03 degrees on its zone's border at the equator. Warping a map
-that is nearer the truth would move its summits by more than it gains."""
+0.1 degrees, which is also the noise of a photo's skyline; errors add as squares, so half as much
+widens that by an eighth. UTM is off by 0.03 degrees on its zone's border at the equator. Warping a
+truer map would move its summits by more than it gains."""
 
 _EDGE_POINTS = 63
-"""Points along each side of a box that is transformed to other coordinates, where it is curved."""
+"""Points along each side of a box that is transformed to coordinates in which it is curved."""
 
 _LOCAL = "local transverse Mercator"
 """The beginning of the names of local frames."""
@@ -122,7 +122,7 @@ class Frame:
     def curvature_or(self, given: Curvature | None) -> Curvature:
         """Return a given curvature, or the frame's.
 
-        Raises `InputError` for what is neither a curvature nor None.
+        Raises `InputError` for anything but a curvature or None.
         """
         if given is None:
             return self.curvature
@@ -161,9 +161,9 @@ class Frame:
         return np.asarray(lon, dtype=np.float64), np.asarray(lat, dtype=np.float64)
 
     def geocentric_m(self, easting_m: ArrayLike, northing_m: ArrayLike) -> Float64Array:
-        """Return map coordinates (M,) as points (M, 3) on the ellipsoid, from its middle.
+        """Return map coordinates (M,) as geocentric points (M, 3).
 
-        The length of a chord is that of the ground below it, less a millionth of it at 30 km.
+        At 30 km, a chord is a millionth shorter than the ground below it.
         """
         lon, lat = map(np.radians, self.to_lonlat(easting_m, northing_m))
         geod = self._geod
@@ -175,7 +175,7 @@ class Frame:
     def box_deg(self, *, easting_m: ArrayLike, northing_m: ArrayLike) -> Bounds:
         """Return the box in degrees around the map rectangle of positions.
 
-        Around a rectangle that holds a pole, the box has all longitudes, -180 to 180.
+        A box around a pole has all longitudes, -180 to 180.
         """
         west, south, east, north = self._to_lonlat.transform_bounds(
             np.min(easting_m),
@@ -188,7 +188,7 @@ class Frame:
         return -180.0 if west == 180.0 else west, south, 180.0 if east == -180.0 else east, north
 
     def from_lonlat(self, lon: ArrayLike, lat: ArrayLike) -> tuple[Float64Array, Float64Array]:
-        """Return easting and northing in metres of longitudes and latitudes (WGS 84)."""
+        """Return easting and northing, metres, of longitudes and latitudes (WGS 84)."""
         refuse_text(lon=lon, lat=lat)
         lon, lat = by_dimensions(lon, lat)
         easting, northing = self._to_lonlat.transform(lon, lat, direction="INVERSE")
@@ -208,7 +208,7 @@ class Frame:
         return rectangle
 
     def convergence_deg(self, *, easting_m: ArrayLike, northing_m: ArrayLike) -> Float64Array:
-        """Return grid convergence: true azimuth = grid azimuth + convergence, degrees."""
+        """Return the grid convergence, degrees: true azimuth minus grid azimuth."""
         _, to_north = self._steps(easting_m, northing_m)
         return np.degrees(np.arctan2(0.0 - to_north.real, to_north.imag))
 

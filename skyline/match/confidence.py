@@ -3,17 +3,17 @@ r"""Confidence: the probability that a pose is right.
 A pose is right if it lies within 200 m of the truth, or roughly right within 1 km, and looks the
 same way, within 30 degrees.
 
-It is a logistic model of figures that a match gives, learned from synthetic queries on terrain for
-which no result is reported (``python -m skyline_training confidence``, which also draws the
-reliability diagram):
+The confidence comes from a logistic model of figures of the match, learned from synthetic queries
+on terrain for which no result is reported (``python -m skyline_training confidence``, which also
+draws the reliability diagram):
 
 .. math::
 
     P = \frac{1}{1 + \exp(-(b + \sum_f h_f(u_f)))}, \quad u_f = (x_f - m_f) / s_f
 
-Each :math:`h_f` is a line with a bend at the mean and at a standard deviation to both sides, and
-:math:`u_f` is held within 4. Where it is known which way a figure is better, :math:`h_f` never
-turns: no match is less sure because it fits better. Products of figures were tried, and mislead on
+Each :math:`h_f` is piecewise linear and bends at the mean and one standard deviation to either
+side; :math:`u_f` is clipped at 4. Where it is known which way a figure is better, :math:`h_f` is
+monotonic: a better fit never lowers the confidence. Products of figures were tried, and mislead on
 kinds of queries that were not learned from.
 
 The figures describe how well the best pose fits, its margin over all other answers, how unusual its
@@ -55,9 +55,9 @@ _MAY_LACK = frozenset({"warp_deviations"})
 
 @dataclass(frozen=True, slots=True)
 class _FigureLimits:
-    """Limits within which figures are held.
+    """Limits at which figures are clipped.
 
-    Few of the examples that were learned from lie beyond.
+    Few of the examples that were learned from lie beyond them.
     """
 
     deviations: float = 4.0
@@ -65,14 +65,15 @@ class _FigureLimits:
     min_margin: float = 1e-3
     """Smaller margins count as this before their logarithm is taken."""
     max_margin: float = 60.0
-    """Models learned with limits of up to 1,000 are no better, since the margins of queries from
-    other regions can reach 124."""
+    """Greater margins count as this. Models learned with limits of up to 1,000 are no better, since
+    the margins of queries from other regions can reach 124."""
     least_weight: float = 1e-9
     """Least likelihood, as a share of the best pose's: odds are no greater than its inverse."""
     camera_deviations: float = 4.0
     """Greatest deviation of a lens or a warp from the expected one, in its standard deviations."""
     max_visible_deg: float = 90.0
-    """The models are learned from photos, and a panorama counts as a wide one."""
+    """Wider skylines count as this: the models are learned from photos, and a panorama counts as a
+    wide one."""
     log_scale_sd: tuple[float, float] = (0.03, 0.3)
     """Least and greatest standard deviation of a lens's scale: of a field of view that is known
     within 5 %, and of one that is not known."""
@@ -94,15 +95,14 @@ class Logistic:
     scale: Sequence[float]
     """``names``, ``mean``, ``scale``: F each."""
     slope: Sequence[Sequence[float]]
-    """F of S each. Log odds for each standard deviation, between the `BENDS`."""
+    """F of S each. Log odds per standard deviation, between the `BENDS`."""
     bias: float
 
     def segments(self, figures: Mapping[str, Float64Array]) -> Float64Array:
-        """Return how far figures (M,) by name lie in each segment of their lines, (M, F, S).
+        """Return how far figures (M,) reach into each segment (M, F, S).
 
-        The parts are in standard deviations from the mean, and add up to the whole. A figure of
-        `_MAY_LACK` that is missing counts as its mean. Raises `ValueError` for any other that is
-        missing, which the caller may name otherwise.
+        The parts are in standard deviations from the mean, and add up to the whole. A missing
+        figure of `_MAY_LACK` counts as its mean. Raises `ValueError` for any other missing figure.
         """
         missing = [name for name in self.names if name not in figures and name not in _MAY_LACK]
         if missing:
@@ -192,10 +192,10 @@ def pose_figures(poses: Poses, rays: Rays) -> dict[str, Float64Array]:
 
 
 def _warp_figure(poses: Poses, rays: Rays) -> dict[str, Float64Array]:
-    """Return by its name how strongly poses warp the image.
+    """Return, by name, how strongly poses warp the image.
 
-    The figure is a root mean square (M,), in standard deviations. It is the distortion of a lens,
-    or the wander of a panorama; see `Rays.warp_sd`. A lens without distortion has no such figure.
+    The figure (M,) is the root mean square of a lens's distortion, or of a panorama's wander, in
+    standard deviations; see `Rays.warp_sd`. A lens without distortion has no such figure.
     """
     if not len(rays.warp_sd):
         return {}
@@ -254,7 +254,7 @@ def shared_probabilities(
     """Return the probabilities that refined poses are right.
 
     They are (M,) each: of an error up to 200 m, and up to 1 km. The models were learned from best
-    poses, and hold for the best one alone. All poses within the distance that look the same way
+    poses, and hold only for the best one. All poses within the distance that look the same way
     share the best pose's probability, and all other poses share the rest. Shares follow the costs,
     and the shares of neighbouring poses add up. An infinite cost has no share.
     """
@@ -274,7 +274,7 @@ def _shares(is_near: BoolArray, weight: Float64Array, best: int, sure: float) ->
     """Return each pose's part of a probability.
 
     ``weight`` is (M,), ``is_near`` (M, M) says which poses are near each other. No other answer
-    gets more of the probability for its weight than the best one does.
+    gets more probability, relative to its weight, than the best one.
     """
     own = weight * is_near[best]
     others = weight * ~is_near[best]
@@ -299,14 +299,14 @@ def probabilities(
 def _margin_or(found: Poses, least_m: float, otherwise: Float64Array) -> Float64Array:
     """Return the margin (M,) of each pose over its rivals.
 
-    It is ``otherwise`` (M,) for a pose without rivals.
+    A pose without rivals has its value of ``otherwise`` (M,).
     """
     has_rivals = (found.distances_m() > least_m).any(axis=1)
     return np.where(has_rivals, found.rival_margin(least_m), otherwise)
 
 
 def _photo_figures(rays: Rays, count: int) -> dict[str, Float64Array]:
-    """Return the figures of a skyline's width and relief, and its lens."""
+    """Return the figures of a skyline's width, relief and lens."""
     azimuth, y = level(rays.u, rays.v, 0.0, 0.0, rays.projection)
     # Relief is the deviation from a line: a pitch and a roll can explain the line.
     trend = np.polynomial.Polynomial.fit(azimuth, y, 1, w=np.sqrt(rays.weight))

@@ -16,8 +16,8 @@ class MatchConfig:
     refine : bool
         Whether the full matcher refines the retrieved poses by rendering.
     min_confidence : float
-        The best place is the answer if it is right within 1 km with at least this probability, 0 to
-        1. The answer is stated to 200 m if the probability of an error above 200 m is at
+        The best place is the answer if it is right within 1 km with at least this probability,
+        from 0 to 1. The answer is given within 200 m if the probability of a greater error is at
         most half of what is allowed for 1 km: with the default, if it is right with a probability
         of 0.9. Of the 255 queries of terrain held out from learning that reached 0.8 within 1 km,
         245 were right; docs/accuracy.md says how hard those are.

@@ -2,21 +2,22 @@ r"""Contours: ridges below a photo's skyline, as evidence for an answer.
 
 Where a ridge hides ground behind it, a photo has an edge. The terrain model shows such ridges from
 a pose, too, below the skyline by which the pose was found. At the right place they lie on edges of
-the photo; at a wrong one they do so by chance. What chance does is seen in the photo itself, where
-the ridges are shifted up and down.
+the photo; at a wrong one they do so by chance. The photo itself shows what chance does, when the
+ridges are shifted up and down.
 
-A ridge is cut into pieces. The strength of a piece at a shift is the mean gradient across it, in
-the gradients around; noise and texture, which change sign, cancel. A piece may lie some pixels off,
-as far as the errors of the pose and of the terrain model let it. Its score u is the rank of its
-greatest strength there among those at all shifts, as a normal deviate. With the lengths l of the
-pieces, and the root mean square s of the same sum at the other shifts, the ridges lie on edges by
+A ridge is cut into pieces. The strength of a piece at a shift is the mean gradient across it,
+relative to the gradients around it; noise and texture, which change sign, cancel. A piece may lie
+some pixels off, as far as the errors of the pose and of the terrain model allow. Its score u is the
+rank of its greatest strength there among those at all shifts, as a normal deviate. With the lengths
+l of the pieces, and the root mean square s of the same sum at the other shifts, the ridges lie on
+edges by
 
 .. math::
 
     z = \frac{\sum l u}{s' \sqrt{\sum l^2}}, \quad s' = \max(1, s)
 
-deviations from chance. Long edges alike at several ridges, as of layers of haze, raise s. The
-log odds of an answer change by
+deviations from chance. Long edges that look alike at several ridges, as layers of haze have, raise
+s. The log odds of an answer change by
 
 .. math::
 
@@ -44,7 +45,7 @@ from skyline.terrain.ridges import ridges_around
 
 @dataclass(frozen=True, slots=True)
 class _Rules:
-    """What is a piece of a ridge, and when an edge lies on it.
+    """Rules for pieces of ridges, and for edges on them.
 
     Pixels are of the photo's shades, about 0.07 degrees. The values were set before they were
     measured.
@@ -55,7 +56,7 @@ class _Rules:
     linked_px: float = 4.0
     """Greatest change of a ridge's row from profile to profile."""
     linked_ratio: float = 1.25
-    """Greatest ratio of its distances there."""
+    """Greatest ratio of a ridge's distances from profile to profile."""
     least_points: int = 4
     smooth: float = 1.5
     """Standard deviation, in profiles, over which a ridge is smoothed along itself."""
@@ -69,19 +70,20 @@ class _Rules:
     play: float = 1.5
     """Greatest distance of an edge from its piece, in expected errors."""
     most_play_px: int = 6
-    """Pieces that need more, the near ones, are left out: an edge is anywhere."""
+    """Pieces that need more, which are near ones, are left out: some edge is always this near."""
     most_shift_px: int = 32
     """Greatest shift, for chance."""
     least_shifts: int = 10
-    """Least number of shifts that say what chance does."""
+    """Least number of shifts that show what chance does."""
     blur_px: float = 1.2
     around_px: int = 41
-    """Side of the square that is around a gradient."""
+    """Side of the square around a gradient to which it is compared."""
     faint: float = 0.25
-    """Least root mean square of the gradients there, in grey values a pixel; what shows less, as
-    fog and silhouettes, says nothing."""
+    """Least root mean square of the gradients there, in grey values a pixel; anything fainter, such
+    as fog and silhouettes, says nothing."""
     greatest: float = 3.0
-    """Greatest gradient, in that root mean square: one strong edge is no more than an edge."""
+    """Greatest gradient, as a multiple of that root mean square: a strong edge counts no more than
+    an edge."""
     seen_share: float = 0.7
     """Least share of a piece that lies on ground that counts."""
 
@@ -106,7 +108,7 @@ _ODDS = _Odds()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Gradients:
-    """Gradients (h, w) of a photo's shades, in their root mean square around."""
+    """Gradients (h, w) of a photo's shades, relative to those around."""
 
     across: Float32Array
     down: Float32Array
@@ -119,7 +121,7 @@ class _Points(Rows):
     """N points of ridges in a photo's shades, by azimuth."""
 
     azimuth: IntArray
-    """(N,). Number of the azimuth."""
+    """(N,). Index of the azimuth."""
     column: Float64Array
     row: Float64Array
     distance_m: Float64Array
@@ -129,7 +131,7 @@ class _Points(Rows):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Pieces:
-    """P pieces of ridges in a photo's shades, of N points in the order of the pieces."""
+    """P pieces of ridges in a photo's shades, with N points."""
 
     column: Float64Array
     row: Float64Array
@@ -149,7 +151,7 @@ class _Pieces:
 def weighed_by_contours(
     candidates: Sequence[Pose], photo: PhotoSkyline, terrain: HeightField, curvature: Curvature
 ) -> tuple[Pose, ...]:
-    """Return the candidates of a photo, best first, with the evidence of its contours.
+    """Return a photo's candidates, best first, weighed by its contours.
 
     The best candidate and those near it are one answer, whose odds change; the others share the
     rest, as before. Nothing changes for a trace or a mask, which have no contours, for a panorama
@@ -311,9 +313,9 @@ def _paths(points: _Points) -> list[IntArray]:
 
 
 def _deviations(pieces: _Pieces, gradients: _Gradients) -> float | None:
-    """Return by how much pieces lie on edges, in deviations from chance.
+    """Return how well pieces lie on edges, in deviations from chance.
 
-    None if there are none, or too few shifts to know chance.
+    None if there are no pieces, or too few shifts to know chance.
     """
     middle = _RULES.most_shift_px
     scores = _scores(_strengths(pieces, gradients), pieces.play_px)
@@ -351,9 +353,10 @@ def _strengths(pieces: _Pieces, gradients: _Gradients) -> Float64Array:
 
 
 def _scores(strengths: Float64Array, play_px: IntArray) -> Float64Array:
-    """Return the ranks (2 S + 1, P) of pieces at no shift and at those of chance.
+    """Return the pieces' ranks at each shift, (2 S + 1, P).
 
-    They are normal deviates, NaN at other shifts, and for pieces of which chance is not known.
+    They are normal deviates; NaN at shifts that are neither 0 nor used for chance, and for pieces
+    whose chance is not known.
     """
     from scipy.ndimage import maximum_filter1d  # noqa: PLC0415  (slow to load)
     from scipy.special import ndtri  # noqa: PLC0415

@@ -39,14 +39,14 @@ class FitErrors:
     """Errors and priors that a fit to a stored skyline assumes."""
 
     photo_deg: float = 0.06
-    """Error of a mean of rays, at a field of view of 60 degrees."""
+    """Error of the mean of a run of rays, at a field of view of 60 degrees."""
     curvature: float = 0.05
     """Error of the tangent over (t / D)^2, for an eye at t from its place and terrain at D."""
     pitch_sd_deg: float = 5.0
     roll_sd_deg: float = 4.0
     most: float = 8.0
-    """Largest miss of a ray that counts, in expected errors: in coarse elevation models rays of the
-    right pose miss by several."""
+    """Greater misses of a ray count as this, in expected errors: in coarse elevation models, rays
+    of the right pose miss by several."""
     unknown: float = 4.0
     """Miss of a ray where no skyline is stored, in expected errors."""
 
@@ -61,7 +61,7 @@ class FitEffort:
     runs: int
     """Runs of the photo's columns within 60 degrees; their means are fitted."""
     scales_deg: tuple[float, ...]
-    """Scales of the Cauchy weights from round to round, beside the expected error."""
+    """Scales of the Cauchy weights in each round, in addition to the expected error."""
 
 
 ROUGH_FIT = FitEffort(40, (0.5, 0.35, 0.25))
@@ -85,8 +85,8 @@ class _Misses:
 class CurveFit:
     """Fits one pose of a photo to each of M places.
 
-    Eyes lie evenly within a place's tolerance, so their standard deviation from it is the tolerance
-    over the root of 3; no fit moves farther than twice that.
+    Eyes lie evenly within a place's tolerance, so their standard deviation from the place is the
+    tolerance over the root of 3; no fit moves farther than twice that.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ class CurveFit:
     def fit(self, heading_rad: Float64Array, log_scale: Float64Array) -> Poses:
         """Return the poses fitted from headings and logarithms of scales (M,).
 
-        A cost is the mean over rays of the misses, in expected errors, and what the priors add.
+        A cost is the mean of the rays' misses, in expected errors, plus what the priors add.
         """
         state = np.zeros(self._prior.shape, dtype=np.float32)
         state[:, _HEADING] = heading_rad
@@ -165,7 +165,7 @@ class CurveFit:
     def _skyline_at(self, azimuth: Float32Array) -> tuple[Float32Array, Float32Array, Float32Array]:
         """Return the places' skylines at azimuths (M, R).
 
-        These are their tangents, slopes and inverse distances. Tangents are linear between bins,
+        The skylines are tangents, slopes and inverse distances. Tangents are linear between bins,
         and slopes NaN where no skyline is stored.
         """
         count, bins = self._y.shape
@@ -198,8 +198,8 @@ class CurveFit:
     def _photo_error(self, state: Float32Array) -> FloatArray:
         """Return the expected error (M,) of a photo's tangents.
 
-        It is as large as a pixel. A camera measures pixels. If the error did not grow with the
-        field of view, a small enough one would make every miss small.
+        It is as large as a pixel, since a camera measures pixels. If the error did not grow with
+        the field of view, a small enough field of view would make every miss small.
         """
         projection = self._rays.projection
         usual = float(projection.half_width(REFERENCE_FOV_DEG))
@@ -210,7 +210,7 @@ class CurveFit:
     def _inverse_variances(self) -> Float32Array:
         """Return the prior inverse variances (M, P) of states.
 
-        The lens has none here, since its own depends on the state.
+        The lens has none here, since its inverse variance depends on the state.
         """
         columns = _WANDER + self._wander.shape[1]
         prior = np.zeros((len(self._places), columns), dtype=np.float32)

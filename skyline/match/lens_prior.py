@@ -1,4 +1,4 @@
-r"""What is known of a lens beforehand: one density for search, fits and verdict.
+r"""The prior of a lens: one density for search, fits and verdict.
 
 With the logarithm x of a scale over the noted one (`skyline.match.rays.Rays.log_scale`), the
 deviation s of the noted one and the probability w that the photo was cropped,
@@ -8,10 +8,11 @@ deviation s of the noted one and the probability w that the photo was cropped,
     p(x) = (1 - w) N(x; s) + w \frac{2}{\sqrt{2 \pi} (s + t)} e^{-x^2 / 2 u^2}, \quad
     u = \begin{cases} t & x < 0 \\ s & x \ge 0 \end{cases}
 
-The first part is the core: what cameras write is rounded, and off by what makers allow. The second
-part is the tail: a crop only narrows. Both parts are centred at 0, so the cost's slope is x times a
-precision, which falls in the tail. A parabola with that precision lies above the cost, which is
-concave in x squared, so a Gauss-Newton step towards 0 does not raise the cost.
+The first part is the core: what cameras write is rounded, and off by the makers' tolerance. The
+second part is the tail: a crop can only narrow the field of view. Both parts are centred at 0, so
+the cost's slope is x times a precision, which falls in the tail. A parabola with that precision
+lies above the cost, which is concave in x squared, so a Gauss-Newton step towards 0 does not raise
+the cost.
 """
 
 import math
@@ -58,7 +59,7 @@ class LensPrior:
     def precision(self, log_scale: Any) -> Float64Array:
         """Return the slope of `cost` divided by the logarithm of the scale.
 
-        It weighs the pull towards the noted one, and is above 0.
+        It is the weight of the pull towards the noted scale, and is above 0.
         """
         core, tail, share = self._parts(log_scale)
         precision = np.full_like(core, self.sd**-2.0)

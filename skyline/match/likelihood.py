@@ -14,11 +14,11 @@ It is the sum of
      \left(\rho(p_i, p_j) - \rho(p_i, o) - \rho(p_j, o) + 1\right)
 
 Not every column shows terrain. Trees and houses raise the skyline; only errors of the extraction
-lower it. The residual of such a column is uniform over a range, with unequal odds for above and
-below. Where a surface model bounds how far things may rise, a column above the terrain lies
-anywhere up to that bound, blurred by the errors, and columns beyond it are as unlikely as those
-below. Past the edge of the data, terrain that the model lacks may rise above the model's skyline
-up to another bound; such a column may also lie anywhere between the two.
+lower it. The residual of a column without terrain is uniform over a range, with unequal odds for
+above and below. Where a surface model bounds how far things may rise, a column above the terrain
+lies anywhere up to that bound, blurred by the errors, and columns beyond it are as unlikely as
+those below. Past the edge of the data, terrain that the model lacks may rise above the model's
+skyline, up to another bound; then a column may also lie anywhere between the two.
 
 The odds that a column shows terrain are variational: the bound on the likelihood is exact where K
 is 0. Height errors are represented at a few nodes along the skyline, so that all matrices have the
@@ -91,7 +91,7 @@ class HeightErrors(Rows):
         """Return the errors of skylines at azimuths and horizontal distances (M, R).
 
         Distances are NaN where unknown. ``nodes`` is the number of height errors along a skyline.
-        With 0 nodes the columns share the eye's height error only, and the skyline's own errors are
+        With 0 nodes the columns share only the eye's height error, and the skyline's own errors are
         independent: that is quicker, and converges from farther away.
         """
         rise_rad = np.full_like(blur_rad, np.nan) if rise_rad is None else rise_rad
@@ -134,7 +134,7 @@ class Likelihood(Rows):
     odds: Float64Array
     """(M, R) float64. Probability that a column shows terrain; 0 where the terrain is unknown."""
     trusted_odds: Float64Array
-    """(M, R) float64. The same, times the trust in the column."""
+    """(M, R) float64. `odds` times the trust in the column."""
     photo_share: Float64Array
     """(M, R) float64. The photo's share of each column's variance."""
     weight: Float64Array
@@ -145,7 +145,7 @@ class Likelihood(Rows):
     """(M, K, K) float64. Inverse of I + factor^T weight factor."""
 
     def product(self, left: Float64Array, right: Float64Array) -> Float64Array:
-        """Return left C^-1 right^T (M, P, Q), C the covariance.
+        """Return left C^-1 right^T (M, P, Q), with the covariance C.
 
         ``left`` is (M, P, R), ``right`` (M, Q, R).
         """
@@ -158,9 +158,9 @@ class Likelihood(Rows):
     def scaled(self) -> "Likelihood":
         """Return the likelihood with all errors times their likeliest factor.
 
-        The deviations that the solver chooses from are steps apart, and some residuals are smaller
-        than any of them expects. If the expected errors were larger than the residuals, a wider
-        lens, whose pixels are larger angles, would seem more likely.
+        The solver chooses from deviations that are steps apart, and some residuals are smaller than
+        any of them expects. If the expected errors were larger than the residuals, a wider lens,
+        whose pixels are larger angles, would seem more likely.
         """
         count = np.maximum(self.trusted_odds.sum(axis=1), 1e-12)
         common = np.sqrt(2.0 * self.fit / count)
@@ -206,11 +206,11 @@ def likelihood(
 
     The odds of each column are improved once. ``residual_rad`` (M, R) is photo minus terrain, NaN
     where the terrain is unknown; such a column is as likely as one that does not show terrain.
-    ``trust`` (R,) is in the photo's columns, ``odds`` (M, R) are the probabilities that they show
-    terrain, to start from. ``angle_deg`` and ``height_m`` (M,) are the standard deviations of the
-    photo's error and of the model's heights. ``scale`` (M,) is the angle of a pixel, as a multiple
-    of its angle in the photo's assumed lens: the photo's error is a number of pixels, and the
-    likelihood is a density by pixels.
+    ``trust`` (R,) is the trust in the photo's columns, and ``odds`` (M, R) are the initial
+    probabilities that they show terrain. ``angle_deg`` and ``height_m`` (M,) are the standard
+    deviations of the photo's error and of the model's heights. ``scale`` (M,) is the angle of a
+    pixel, as a multiple of its angle in the photo's assumed lens: the photo's error is a number of
+    pixels, and the likelihood is a density over pixels.
     """
     scale = np.broadcast_to(scale, len(residual_rad))[:, np.newaxis]
     known = np.isfinite(residual_rad)
@@ -254,7 +254,7 @@ def likelihood(
 
 
 def density_without_terrain(residual_rad: Float64Array) -> Float64Array:
-    """Return the density of residuals of columns that do not show terrain.
+    """Return the density of residuals of columns without terrain.
 
     It includes the prior probability of such a column, and is larger above the terrain's skyline.
     """
@@ -272,7 +272,7 @@ def _raised(
 ) -> tuple[Float64Array, Float64Array]:
     """Return the odds and density of objects above the terrain.
 
-    The odds are the probability (M, R) that an object stands above it. The density is the
+    The odds are the probability (M, R) that an object stands above the terrain; the density is that
     probability times the density of the column's residual. The object's height is uniform up to the
     rise, blurred by the errors. The probability is ``share`` for a rise far above the errors, and
     falls as the rise shrinks.
@@ -290,7 +290,7 @@ def _explained(
 ) -> tuple[Float64Array, Float64Array, Float64Array]:
     """Return the part of residuals (M, R) due to height errors.
 
-    The inner inverse and half the log determinant are returned with it.
+    The other results are the inner inverse and half the log determinant.
     """
     across = factor.swapaxes(1, 2)
     core = across @ (weight[..., np.newaxis] * factor) + np.eye(factor.shape[2])

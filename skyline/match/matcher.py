@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import logging
+import math
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from datetime import datetime, timedelta
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
 from typing import TypeVar
 
@@ -14,20 +17,22 @@ import numpy as np
 from PIL.Image import Image
 from pyproj import CRS
 
+from skyline.arrays import Progress
 from skyline.errors import InputError, SkylineError, StoreError
 from skyline.files import is_file, on_disk
 from skyline.geodesy.map_frame import Frame
 from skyline.match.config import MatchConfig
 from skyline.match.contours import weighed_by_contours
 from skyline.match.method import MATCHERS, SearchMethod
-from skyline.match.posterior import Posterior, posterior_of
-from skyline.match.prior import NOTHING_KNOWN, Narrowing, Prior
+from skyline.match.posterior import AlikePlaces, MapGrid, Posterior, posterior_of
+from skyline.match.prior import NOTHING_KNOWN, Narrowing, PlacePrior, Prior
 from skyline.match.rays import Rays
 from skyline.match.refine import VIEW_WIDTH
 from skyline.match.result import TOP, JointResult, MatchResult
 from skyline.match.screen import ReportProgress, silent
 from skyline.match.shard import Shard
 from skyline.match.verdict import Verdict, candidate_reached, too_little
+from skyline.match.walk import check_times, joined
 from skyline.photo.image import Picture
 from skyline.photo.read import named_skyline
 from skyline.photo.skyline import PhotoSkyline
@@ -63,7 +68,7 @@ class MatchedArea:
     frame : Frame
         The frame of the places.
     terrain : HeightField or None
-        The DEM; None if it is not at hand.
+        The DEM; None if it cannot be read.
     rows : int
         Number of places, or of renderings.
     """
@@ -82,19 +87,19 @@ class Matcher(Closeable):
     Parameters
     ----------
     store : path or paths
-        Several stores are searched where they are. Those of one DEM have one configuration, and
-        are searched as the one store that `skyline.store.merge.merge_stores` writes of them. The
-        full matcher also searches stores of several DEMs, of any frames, as one.
+        Several stores are searched without copying them. Stores of one DEM must have one
+        configuration, and are searched as the store that `skyline.store.merge.merge_stores` would
+        make of them. The full matcher also searches stores of several DEMs, in any frames, as one.
     dem : path, paths, DataArray or HeightField, optional
-        The DEM that the store was rendered from; by default it is read from the file that the store
-        names, as it must be for stores of several. The full matcher takes heights from it, and
-        renders it for refinement. If it cannot be read, a warning is logged and answers stay
-        unrefined.
+        The DEM that the store was rendered from; by default it is read from the files that the
+        store names. Stores of several DEMs allow nothing else. The full matcher takes heights from
+        it, and renders it for refinement. If it cannot be read, a warning is logged and answers
+        stay unrefined.
     matcher : str
         ``full``, which searches a store of places; ``paper`` or ``correlation``, which search a
         store of renderings; or the name of another package's, see `SearchMethod`.
     config : MatchConfig, optional
-        Settings of the search, and the confidence from which there is an answer.
+        Settings of the search, and the least confidence of an answer.
     render_thread : RenderThread, optional
         A thread that renders, for programs that also render something more urgent, as a page does:
         it comes between the pieces of a match. Any thread may match, and several at a time, with or
@@ -108,7 +113,7 @@ class Matcher(Closeable):
     InputError
         The matcher's name is unknown, the store is not of the kind that the matcher searches, the
         surface does not cover the DEM, or a surface is given to a matcher that does not refine. A
-        DEM or a surface is given to stores of several DEMs, or the matcher does not search such.
+        DEM or a surface is given for stores of several DEMs, or the matcher cannot search these.
     StoreError
         The store cannot be read, or angles are wrong on its map.
     StoreMismatchError
@@ -127,7 +132,7 @@ class Matcher(Closeable):
         method: type[SearchMethod] = load(MATCHERS, matcher)
         self._config = MatchConfig() if config is None else _instance("config", config, MatchConfig)
         if surface is not None and not (method.renders and self._config.refine):
-            raise InputError("a surface acts in refinement; use the full matcher, and refine")
+            raise InputError("a surface is used in refinement; use the full matcher, and refine")
         self.render_thread = render_thread
         groups = by_model(paths_of(store))
         if len(groups) > 1 and not (dem is None and surface is None):
@@ -142,7 +147,7 @@ class Matcher(Closeable):
             self.close()
         self.areas = tuple(area for area, _ in opened)
         if any(area.frame.lonlat_crs != self.crs for area in self.areas):
-            raise InputError("the stores are of several worlds; name those of one")
+            raise InputError("the stores are of several worlds; name stores of one")
         self.rows = sum(area.rows for area in self.areas)
         self.holds = method.holds
         methods = [one for _, one in opened]
@@ -195,13 +200,13 @@ class Matcher(Closeable):
 
     @property
     def terrain(self) -> HeightField | None:
-        """The store's terrain, if it is at hand; raises as `only_area`."""
+        """The store's terrain, if it can be read; raises as `only_area`."""
         return self.only_area().terrain
 
     def search_by(self, shards: Sequence[Sequence[Shard]], at_once: int) -> None:
-        """Search the places of each area by shards, as `skyline.match.spread` has them.
+        """Search each area's places by shards, such as those of `skyline.match.spread`.
 
-        So many of them are asked ``at_once``.
+        ``at_once`` shards are asked at a time.
         """
         self._method = self._method.by_shards(shards, at_once)
 
@@ -216,15 +221,12 @@ class Matcher(Closeable):
 
     @staticmethod
     def too_little(skyline: PhotoSkyline) -> str | None:
-        """Return why a search would refuse a skyline at once; None if it would not.
-
-        Such a skyline spans too few degrees.
-        """
+        """Return the refusal of a skyline of too few degrees, or None."""
         return too_little(skyline)
 
     @cached_property
     def viewpoints(self) -> Viewpoints:
-        """The eyes of the store, or an even selection of very many; raises as `only_area`."""
+        """The store's eyes, evenly thinned if very many; raises as `only_area`."""
         self.only_area()
         return self._method.eyes()
 
@@ -301,7 +303,7 @@ class Matcher(Closeable):
         )
 
     def _weighed(self, candidates: tuple[Pose, ...], skyline: PhotoSkyline) -> tuple[Pose, ...]:
-        """Return the candidates with the evidence of what a photo shows below its skyline."""
+        """Return the candidates, weighed by what a photo shows below its skyline."""
         if not candidates:
             return candidates
         area = self.areas[candidates[0].area]
@@ -322,7 +324,7 @@ class Matcher(Closeable):
     ) -> JointResult:
         """Find the one place where several photos were taken.
 
-        Photos that look in different directions hold more information together than each alone. A
+        Photos that look in different directions together hold more information than each one. A
         photo that was taken at another place seldom spoils the answer; the result names it if it
         fits nowhere near the place of the others.
 
@@ -385,10 +387,10 @@ class Matcher(Closeable):
     def posterior(
         self, result: MatchResult | JointResult, report_progress: ReportProgress = silent
     ) -> Posterior:
-        """Return how probable it is that a photo was taken at each place of the searched area.
+        """Return the probability that a photo was taken at each place.
 
-        There is a posterior with an answer or without one. The photo's skyline is compared with the
-        whole store once more.
+        The places are those of the searched area, with an answer or without one. The photo's
+        skyline is compared with the whole store once more.
 
         Parameters
         ----------
@@ -404,12 +406,72 @@ class Matcher(Closeable):
         StoreError
             See `match`.
         """
-        area = self.only_area()
+        frame = self.only_area().frame
+        candidates, fitted, places, noted = self._likely_places(result, report_progress)
+        return posterior_of(candidates, fitted, places, frame, noted)
+
+    def joined_posteriors(
+        self,
+        results: Sequence[MatchResult | JointResult],
+        times: Sequence[datetime],
+        walked_km_h: float,
+        report_progress: Progress | None = None,
+    ) -> list[Posterior]:
+        """Return the posteriors of photos that one person took on a walk, each from all of them.
+
+        The person went at most at this speed from photo to photo, as the crow flies. All posteriors
+        are on one grid.
+
+        Parameters
+        ----------
+        results : sequence of MatchResult or JointResult
+            As `posterior` takes, in any order.
+        times : sequence of datetime
+            When each was taken, all by one clock: all with a zone, or none.
+        walked_km_h : float
+            Greatest speed, kilometres per hour.
+        report_progress : callable, optional
+            Called with the number of photos that are done, and with that of all.
+
+        Raises
+        ------
+        InputError
+            As `posterior`; there is no photo, or not a time for each; the speed is not above 0; or
+            no such walk is possible.
+        StoreError
+            See `match`.
+        """
+        if not results or len(times) != len(results) or not 0.0 < walked_km_h < math.inf:
+            raise InputError(
+                f"{len(results)} photos, {len(times)} times and {walked_km_h} km/h; expected a "
+                "photo or more, a time for each, and a speed above 0"
+            )
+        check_times(times)
+        frame = self.only_area().frame
+        order = sorted(range(len(results)), key=lambda number: times[number])
+        known = []
+        for done, number in enumerate(order):
+            if report_progress is not None:
+                report_progress(done, len(order))
+            known.append(self._likely_places(results[number], silent))
+        grid = MapGrid.around((places, candidates) for candidates, _, places, _ in known)
+        alone = [
+            posterior_of(candidates, fitted, places, frame, noted, grid)
+            for candidates, fitted, places, noted in known
+        ]
+        hours = [(times[b] - times[a]) / timedelta(hours=1) for a, b in pairwise(order)]
+        together = joined(alone, [1000.0 * walked_km_h * one for one in hours])
+        return [together[order.index(number)] for number in range(len(order))]
+
+    def _likely_places(
+        self, result: MatchResult | JointResult, report_progress: ReportProgress
+    ) -> tuple[Sequence[Pose], Poses, AlikePlaces, PlacePrior | None]:
+        """Return what `posterior_of` takes of a search: candidates, fits, places, noted place."""
         photos, candidates = _searched(result)
         known = [self._rays_and_prior(skyline, narrowing) for skyline, narrowing in photos]
         fitted, places = self._method.likely_places(known, report_progress)
         noted = next((prior.noted for _, prior in known if prior.noted is not None), None)
-        return posterior_of(candidates, fitted, places, area.frame, noted)
+        return candidates, fitted, places, noted
 
     def _read(
         self,
@@ -461,9 +523,9 @@ class Matcher(Closeable):
     ) -> MatchResult:
         """Refine a pose by rendering, as a search does.
 
-        The result of a search is taken into account. A fit that leads to one of its candidates is
-        that candidate, with the search's verdict. A fit that leads to the same answer but fits
-        better than the candidate replaces it: its pose gets the candidate's rank and confidences.
+        A fit that leads to one of the search's candidates is that candidate, with the search's
+        verdict. A fit that leads to the same answer but fits better than the candidate replaces it:
+        its pose gets the candidate's rank and confidences.
 
         Elsewhere, and without a search, the result's one candidate has no rank and no confidence,
         since no other place was tried. The fit has failed, and there is no answer, if poses that
@@ -478,7 +540,7 @@ class Matcher(Closeable):
             A pose at most some 100 m, 5 degrees of heading and a twentieth of the field of view
             from the true one.
         narrowing : Narrowing, optional
-            Its eye height and its use of GPS count; the place may lie anywhere.
+            Only its eye height and its use of GPS count; the place may lie anywhere.
 
         Raises
         ------
@@ -548,9 +610,9 @@ class _Photo:
     """Its file; empty for pixels and for a skyline."""
     skyline: PhotoSkyline
     refusal: str | None
-    """Why it cannot be matched; None if it can."""
+    """Why the photo cannot be matched; None if it can."""
     known: tuple[Rays, Prior] | None
-    """Its rays and what is known of its pose; None if it cannot be matched."""
+    """Its rays and the prior of its pose; None if it cannot be matched."""
 
 
 def _searched(
@@ -558,8 +620,8 @@ def _searched(
 ) -> tuple[list[tuple[PhotoSkyline, Narrowing]], Sequence[Pose]]:
     """Return the skylines and narrowings of a search, and its candidates.
 
-    Of photos of one place, those that agree are returned, or all if none does. Raises `InputError`
-    for a result that is not from a search.
+    For photos of one place, only those that agree are returned, or all if none does. Raises
+    `InputError` for a result that is not from a search.
     """
     if isinstance(result, MatchResult):
         if result.narrowing is None:
@@ -576,8 +638,8 @@ def _searched(
 def _without_search(pose: Pose, refusal: str | None) -> Pose:
     """Return a fitted pose without a rank and confidences.
 
-    No other place was tried. A pose that is refused has no covariance either: errors of a wrong fit
-    have no meaning.
+    No other place was tried. A refused pose has no covariance either: the errors of a wrong fit
+    mean nothing.
     """
     if refusal:
         pose = replace(pose, covariance_m2=None, covariance=None)

@@ -35,9 +35,9 @@ class SearchMethod(ABC):
     renders: ClassVar[bool] = False
     """Whether `open` gets the terrain and a scene to render, where the DEM can be read."""
     finds_fov: ClassVar[bool] = False
-    """Whether a field of view that is not known is found with the pose."""
+    """Whether an unknown field of view is found with the pose."""
     takes_prior: ClassVar[bool] = False
-    """Whether a search may be narrowed, and drawn to the place that a photo notes."""
+    """Whether a search may be narrowed, or pulled to the place that a photo notes."""
 
     @classmethod
     @abstractmethod
@@ -51,7 +51,7 @@ class SearchMethod(ABC):
 
     @classmethod
     def joined(cls, methods: Sequence[Self]) -> Self:
-        """Return one method for the areas of several, each of another elevation model.
+        """Return one method for the areas of several methods.
 
         Its poses have `Poses.sites`, with the areas in the order of ``methods``.
         """
@@ -63,22 +63,17 @@ class SearchMethod(ABC):
     def by_shards(self, shards: Sequence[Sequence[Shard]], at_once: int) -> Self:
         """Return this method with places in other processes, by area.
 
-        So many shards are asked ``at_once``.
+        ``at_once`` shards are asked at a time.
         """
         raise InputError("only the full matcher can search by parts of the places")
 
     @abstractmethod
     def eyes(self) -> Viewpoints:
-        """Return the eyes of the store.
-
-        Of very many, an even selection is returned.
-        """
+        """Return the eyes of the store, evenly thinned if very many."""
 
     @abstractmethod
     def search(self, rays: Rays, prior: Prior, top: int, report: ReportProgress = silent) -> Poses:
-        """Return up to ``top`` poses of a photo, best first.
-
-        There are none where nothing fits.
+        """Return up to ``top`` poses that fit a photo, best first.
 
         Parameters
         ----------
@@ -114,24 +109,20 @@ class SearchMethod(ABC):
     def likely_places(
         self, photos: Sequence[tuple[Rays, Prior]], report: ReportProgress = silent
     ) -> tuple[Poses, AlikePlaces]:
-        """Return what is known of all places, for photos of one eye.
+        """Return how photos of one eye compare with all searched places.
 
-        The poses fit the photos without rendering; the places are all that are searched. Raises
-        `InputError` where the search is narrowed to no place.
+        The poses are fits without rendering. Raises `InputError` where the search is narrowed to no
+        place.
         """
         raise InputError("this matcher knows no probabilities; use the full one")
 
     def fitted(self, rays: Rays, start: Pose, prior: Prior, about_start: Rays) -> Poses:
-        """Return a pose refined from a start.
+        """Return a pose refined from a start, or none.
 
-        There is none where nothing near the start fits. ``about_start`` are the photo's rays about
-        the start's field of view.
+        ``about_start`` are the photo's rays with fields of view about the start's.
         """
         raise InputError(BY_RENDERING)
 
     def other_projection(self, rays: Rays, best: Pose, prior: Prior) -> OtherProjection | None:
-        """Return the likeliest other projection of a photo.
-
-        None where none is known.
-        """
+        """Return the likeliest other projection of a photo; None if unknown."""
         return None

@@ -1,11 +1,11 @@
-r"""Whether a skyline is bent as by another projection than assumed.
+r"""Whether another projection than assumed would bend a skyline like this.
 
-A photo that does not say otherwise is taken for a perspective one. An unmarked panorama or a
-fisheye then fits the right place all the same, with a field of view and a distortion that no lens
-has, and its eye and its angles are wrong. So the best pose is fitted three times to the same
-columns: as a perspective photo, as a cylindrical panorama and as a fisheye. Each fit begins at the
-perspective one's scale in the middle of the photo. With the cost c of a fit, the temperature T, and
-the prior density p of how its image is bent, the log odds of another projection are
+A photo that does not say otherwise is taken for a perspective one. An unmarked panorama or fisheye
+may then fit the right place all the same, with a field of view and a distortion that no lens has,
+and its eye and its angles are wrong. So the best pose is fitted three times to the same columns: as
+a perspective photo, as a cylindrical panorama and as a fisheye. Each fit begins with the scale of
+the perspective fit in the middle of the photo. With the cost c of a fit, the temperature T, and the
+prior density p of how its image is bent, the log odds of another projection are
 
 .. math::
 
@@ -37,10 +37,10 @@ class BentImages:
     """Assumptions about panoramas and fisheyes, and how they are fitted."""
 
     least_confidence: float = 0.5
-    """Least confidence of a pose that shows which projection a photo has; a pose of less may well
-    be wrong."""
+    """Poses of lower confidence do not show which projection a photo has, since they may well be
+    wrong."""
     trusted_below: float = 0.2
-    """Greatest probability of another projection with which a pose is trusted."""
+    """Greatest probability of another projection at which a pose is still trusted."""
     unmarked_share: float = 0.05
     """Share of panoramas and fisheyes among the photos that note no projection: a guess. If there
     were ten times fewer, their log odds would fall by 2.4."""
@@ -51,18 +51,18 @@ class BentImages:
     start_scales: tuple[float, ...] = (0.87, 1.0)
     """Factors on the perspective fit's scale from which the other projections are fitted."""
     columns_per_bin: float = 0.8
-    """Columns for each of the solver's steps of azimuth, where a perspective photo has the most.
-    The solver averages no two of them in any projection, so the costs are of the same columns."""
+    """Columns in the solver's step of azimuth in which a perspective photo has the most. The solver
+    averages no two of them in any projection, so all costs have the same columns."""
     fisheye_term: float = -1.0 / 24.0
-    """Mean of t in the mapping of fisheyes, see `skyline.match.rays.CameraModel.fisheye_sd`: half
-    way from an equidistant lens to a stereographic one."""
+    """Mean of t in the mapping of fisheyes, half way from an equidistant lens to a stereographic
+    one; see `skyline.match.rays.CameraModel.fisheye_sd`."""
     widest_radius: float = 1.5
     """Largest radius at the side of a fisheye from which a fit starts: 156 degrees."""
     least_fov_share: float = 0.75
     """Smallest field of view that is tried, as a share of the one at the perspective fit's scale.
     """
     greatest_fov_share: float = 1.25
-    """Largest field of view that is tried, as such a share."""
+    """Largest field of view that is tried, as the same kind of share."""
 
 
 _BENT = BentImages()
@@ -70,7 +70,7 @@ _BENT = BentImages()
 
 @dataclass(frozen=True, slots=True)
 class OtherProjection:
-    """A projection that bends a skyline as it is bent.
+    """Another projection that would bend a skyline like the photo's.
 
     Attributes
     ----------
@@ -81,7 +81,7 @@ class OtherProjection:
     probability : float
         The probability that the photo is not a perspective one.
     second : OtherProjection, optional
-        The next likely one.
+        The next likeliest one.
     """
 
     projection: Projection
@@ -96,7 +96,7 @@ class OtherProjection:
 
     @property
     def in_words(self) -> str:
-        """The reason against a pose that was fitted as a perspective photo's."""
+        """The reason not to trust a pose fitted as a perspective photo's."""
         likely = [one for one in (self, self.second) if one is not None and one.is_likely]
         kinds = " or ".join(one._kind for one in likely)
         options = " or ".join(one._options for one in likely)
@@ -117,7 +117,7 @@ def find_other_projection(
 ) -> OtherProjection | None:
     """Return the likeliest other projection of a photo.
 
-    None for a panorama or a fisheye, and for a pose that is more likely wrong.
+    None for a panorama or a fisheye, and for a pose that is probably wrong.
 
     Parameters
     ----------
@@ -157,7 +157,7 @@ def _columns(rays: Rays, fov_deg: float) -> Rays:
 
 
 def _panorama(columns: Rays) -> Rays:
-    """Return a perspective photo's rays in a cylindrical panorama.
+    """Return a perspective photo's rays as those of a cylindrical panorama.
 
     The panorama has the same scale in its middle.
     """
@@ -172,9 +172,9 @@ def _panorama(columns: Rays) -> Rays:
 
 
 def _fisheye(columns: Rays) -> Rays:
-    """Return a perspective photo's rays in a fisheye's image.
+    """Return a perspective photo's rays as those of a fisheye.
 
-    The image has the same scale in its middle, unless it would be too wide.
+    The fisheye has the same scale in its middle, unless it would be too wide.
     """
     shrink = min(1.0, _BENT.widest_radius / columns.half_width)
     u = shrink * columns.u
@@ -194,7 +194,7 @@ def _fisheye(columns: Rays) -> Rays:
 
 
 def _range_deg(fov_deg: float, most_deg: float) -> tuple[float, float]:
-    """Return the range of fields of view that are tried about one."""
+    """Return the range of fields of view tried about a given one."""
     low_deg = _BENT.least_fov_share * fov_deg
     high_deg = _BENT.greatest_fov_share * fov_deg
     return min(low_deg, most_deg), min(high_deg, most_deg)

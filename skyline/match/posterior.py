@@ -33,7 +33,7 @@ density of `skyline.match.prior` besides.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING
@@ -252,12 +252,40 @@ class Posterior(ShortRepr):
         return made
 
 
+@dataclass(frozen=True, slots=True)
+class MapGrid:
+    """The grid of a posterior; see `Posterior`."""
+
+    west_m: float
+    north_m: float
+    cell_m: float
+    rows: int
+    cols: int
+
+    @classmethod
+    def around(cls, searches: Iterable[tuple[AlikePlaces, Sequence[Pose]]]) -> MapGrid:
+        """Return the grid around the places and the candidates of searches."""
+        corners_m = []
+        for places, candidates in searches:
+            corners_m += [(one.easting_m, one.northing_m) for one in candidates]
+            for sign in (-1.0, 1.0):
+                east_m = places.easting_m + sign * places.half_m
+                north_m = places.northing_m + sign * places.half_m
+                corners_m += [(east_m.min(), north_m.min()), (east_m.max(), north_m.max())]
+        west, south = (float(least) for least in np.min(corners_m, axis=0))
+        east, north = (float(most) for most in np.max(corners_m, axis=0))
+        cell_m = max(_SIZE.finest_m, math.sqrt((east - west) * (north - south) / _SIZE.most_cells))
+        rows, cols = math.ceil((north - south) / cell_m), math.ceil((east - west) / cell_m)
+        return cls(west, north, cell_m, rows, cols)
+
+
 def posterior_of(
     candidates: Sequence[Pose],
     fitted: Poses,
     places: AlikePlaces,
     frame: Frame,
     noted: PlacePrior | None = None,
+    grid: MapGrid | None = None,
 ) -> Posterior:
     """Return the posterior of a photo.
 
@@ -273,9 +301,11 @@ def posterior_of(
         The frame of all of them.
     noted : PlacePrior, optional
         The place that the photo notes. Candidates' confidences know it already.
+    grid : MapGrid, optional
+        By default the one around the places and the candidates.
     """
     spots, roughly, left = candidate_spots(candidates)
-    layer = _Layer.around(places, spots)
+    layer = _Layer.on(grid or MapGrid.around([(places, candidates)]))
     for spot in spots:
         layer.add_spot(spot)
     if len(spots):
@@ -345,15 +375,9 @@ class _Layer:
     """(rows, cols) float64."""
 
     @classmethod
-    def around(cls, places: AlikePlaces, spots: Spots) -> _Layer:
-        """Return an empty grid around places and spots."""
-        east_m = [places.easting_m - places.half_m, places.easting_m + places.half_m]
-        north_m = [places.northing_m - places.half_m, places.northing_m + places.half_m]
-        west, east = _range(spots.easting_m, *east_m)
-        south, north = _range(spots.northing_m, *north_m)
-        cell_m = max(_SIZE.finest_m, math.sqrt((east - west) * (north - south) / _SIZE.most_cells))
-        shape = math.ceil((north - south) / cell_m), math.ceil((east - west) / cell_m)
-        return cls(west, north, cell_m, np.zeros(shape))
+    def on(cls, grid: MapGrid) -> _Layer:
+        """Return an empty layer."""
+        return cls(grid.west_m, grid.north_m, grid.cell_m, np.zeros((grid.rows, grid.cols)))
 
     def add_spot(self, spot: Spots) -> None:
         """Add a candidate's distribution, as far as it lies on the grid."""
@@ -413,12 +437,6 @@ def _density(
     squares = squares + 2.0 * precision[0, 1] * east_m * north_m
     peak = math.sqrt(np.linalg.det(precision)) / (2.0 * math.pi)
     return np.asarray(peak * (1.0 + squares / freedom) ** (-0.5 * freedom - 1.0))
-
-
-def _range(*values: Float64Array) -> tuple[float, float]:
-    """Return the least and the greatest of values."""
-    every = np.concatenate(values)
-    return float(every.min()), float(every.max())
 
 
 def _cells(middle_m: float, reach_m: float, cell_m: float, count: int) -> slice:

@@ -33,7 +33,7 @@ GPS_SD_M = 30.0
 
 
 NOTED_KM = 10.0
-"""Radius of a search round the position that a photo notes, or a place that is named."""
+"""Radius of a search around a position that a photo notes, or around a named place."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,11 +68,12 @@ class _ExifErrors:
     takeoff_sd_m: float = 5.0
     """Drift of a drone's height above its take-off."""
     takeoff_share: float = 0.035
-    """Error of that height due to the temperature, as a share of it."""
+    """Error of that height due to temperature, as a share of it."""
     compass_wrong_share: float = 0.2
     """Share of photos whose compass was disturbed, as by a car, a railing or a case."""
     compass_sd_deg: float = 20.0
-    """The declination is not modelled, and reaches 20 degrees where people live."""
+    """Standard deviation of a compass from true north. The declination is not modelled, and reaches
+    20 degrees where people live."""
     magnetic_sd_deg: float = 30.0
     """A compass that does not name its north may refer to the magnetic one."""
 
@@ -91,17 +92,17 @@ class _Aloft:
     median_m: float = 100.0
     """Median height. Drones may fly up to 120 m; cable cars and balloons are higher."""
     least_sds: float = 3.0
-    """An eye that stands no more of the terrain model's deviations above the usual height may
+    """An eye at most this many standard deviations of the terrain model above the usual height may
     stand on the ground."""
 
 
 _ALOFT = _Aloft()
 _LEAST_SD_M = 1e-6
-"""Stands for the scale 0 of a known height, by which nothing can be divided."""
+"""Replaces the scale 0 of a known height, by which nothing can be divided."""
 _FAR_M = 1e9
 """Stands for a place that is not on a map."""
 _GREATEST_SD = 20.0
-"""Greatest height of an eye above the usual one that is tried, in scales of its prior."""
+"""Greatest height of an eye that is tried, in scales of its prior above the usual height."""
 _CONVERGENCE_DEG = 5.0
 """Bound on the convergence of meridians within a frame; screening searches turns this much farther
 to either side of a given heading."""
@@ -125,7 +126,7 @@ class PlacePrior:
     heading_sd_deg: float = _EXIF.compass_sd_deg
     """Standard deviation of the heading, where the compass is not disturbed."""
     elevation_m: float | None = None
-    """Elevation of the eye; its error is distributed as the position's is along a line."""
+    """Elevation of the eye; its error is distributed like a position's error along one axis."""
     elevation_sd_m: float = _EXIF.least_altitude_sd_m
     """Scale of that distribution."""
 
@@ -178,8 +179,9 @@ class PlacePrior:
     ) -> tuple[Float64Array, Float64Array]:
         """Return the normal distribution that pulls eyes like this density.
 
-        Its precisions (M, 3) along easting, northing and elevation, and the offsets (M, 3) of the
-        eyes from the noted place, metres; precision times offset is the gradient of `cost`.
+        The results are its precisions (M, 3) along easting, northing and elevation, and the offsets
+        (M, 3) of the eyes from the noted place, metres; precision times offset is the gradient of
+        `cost`.
         """
         tail = self._tail(place_m)
         pull = 3.0 * self._peak * tail**-2.5 / self.sd_m**2
@@ -226,7 +228,7 @@ class EyeHeightPrior:
         return np.asarray(np.log1p(self._deviations(height_m) ** 2))
 
     def precision(self, height_m: Float64Array) -> Float64Array:
-        """Return the precision (M,) of the normal distribution that pulls heights equally."""
+        """Return the precision (M,) of a normal distribution with the same pull."""
         sd_m = max(self.sd_m, _LEAST_SD_M)
         return np.asarray(2.0 / (sd_m**2 * (1.0 + self._deviations(height_m) ** 2)))
 
@@ -240,19 +242,16 @@ class KnownGround:
 
     elevation_m: float
     relief_m: float
-    """Deviation of the ground within the error of the place."""
+    """Standard deviation of the ground's height within the error of the place."""
     takeoff_relief_m: float
-    """Deviation of the ground where a drone that is there may have taken off."""
+    """Standard deviation of the ground's height where a drone that is there may have taken off."""
     height_sd_m: float
-    """Deviation of the terrain model's heights."""
+    """Standard deviation of the terrain model's heights."""
 
 
 @dataclass(frozen=True, slots=True)
 class Standing:
-    """One way in which an eye may stand at a known place.
-
-    It stands on the ground, or it is aloft.
-    """
+    """How an eye stands at a known place: grounded or aloft."""
 
     eye: EyeHeightPrior
     elevation_m: float | None = None
@@ -266,8 +265,8 @@ class Standing:
     def of_noted(cls, noted: NotedPlace, ground: KnownGround) -> "list[Standing]":
         """Return the ways that a photo's noted heights leave open.
 
-        The ground comes first. A noted height may be wrong by far, so many photos are likely taken
-        on the ground below it.
+        The ground comes first. A noted height may be far off, so many photos that note one were
+        taken on the ground below it.
         """
         on_ground = cls(EyeHeightPrior(DEFAULT_EYE_HEIGHT_M, ground.height_sd_m))
         heights = _noted_heights(noted, ground)
@@ -310,7 +309,7 @@ class _NotedHeight:
     """Scale of the error of the elevation."""
 
     def cost(self, above_m: float) -> float:
-        """Return the negative log density of noting this height at another one."""
+        """Return the negative log density of noting this height at others."""
         off = (above_m - self.above_m) / self.sd_m
         return _EXIF.height_tail * math.log1p(off**2) + math.log(2.0 * self.sd_m)
 
@@ -334,7 +333,7 @@ def noted_position_sd_m(noted: NotedPlace) -> float:
 
 
 def noted_heading_sd_deg(noted: NotedPlace) -> float:
-    """Return the standard deviation of a photo's compass that is not disturbed."""
+    """Return the standard deviation of a photo's undisturbed compass."""
     return _EXIF.compass_sd_deg if noted.is_magnetic is False else _EXIF.magnetic_sd_deg
 
 
@@ -371,7 +370,7 @@ class Narrowing:
     Raises
     ------
     InputError
-        A value is out of its range, or is not the numbers that its field has.
+        A value is out of its range, or does not have the numbers of its field.
     """
 
     near: tuple[float, float, float] | None = None
@@ -453,9 +452,9 @@ class Prior:
         return cls(narrowing, frame, circle, rectangle, noted, exif)
 
     def in_frames(self, frames: Sequence[Frame]) -> "list[Prior]":
-        """Return this prior in each of several frames, of which its own is the first.
+        """Return this prior in each of several frames, its own first.
 
-        With one frame, or none, it is the prior as it is.
+        With one frame, or none, the prior is returned unchanged.
         """
         if len(frames) < 2:
             return [self]
@@ -470,7 +469,7 @@ class Prior:
 
     @property
     def open_turns(self) -> BoolArray | None:
-        """The turns (180,) that screening looks at, see `turns_within`; None for all."""
+        """The turns (180,) that screening compares; see `turns_within`. None for all."""
         if self.narrowing.heading_deg is None:
             return None
         heading, slack = self.narrowing.heading_deg
@@ -516,10 +515,9 @@ class Prior:
         return self.noted.easting_m, self.noted.northing_m, radius_m
 
     def swap_hint(self, places: Places) -> str:
-        """Return a hint that longitudes and latitudes are swapped.
+        """Return a hint that longitudes and latitudes are swapped, or "".
 
-        It is empty where they are not. The hint is given where the swapped narrowing would meet the
-        rectangle around the places.
+        The hint is given if the swapped narrowing would meet the rectangle around the places.
         """
         near = self.narrowing.near
         bounds = self.narrowing.bounds_deg

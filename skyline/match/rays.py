@@ -12,7 +12,7 @@ from skyline.match.lens_prior import LensPrior
 from skyline.photo.skyline import Lens, PhotoSkyline
 
 REFERENCE_FOV_DEG = 60.0
-"""Field of view to which sizes of pixels are compared."""
+"""The field of view with which pixel sizes are compared."""
 FOV_RANGE_DEG = (25.0, 100.0)
 """Fields of view that are searched where none is known."""
 USUAL_FOV_DEG = (55.0, 14.0)
@@ -27,11 +27,11 @@ class CameraModel:
     distortion_sd: float = 0.01
     """Standard deviation of a lens's distortion. The distortions of 3,500 lenses in lensfun's
     database are 2 to 6 % of half the width, rms; phones and many cameras correct their photos. With
-    a larger deviation, near slopes bend to fit."""
+    a larger deviation, wrong near slopes could be bent to fit."""
     wide_distortion_sd: float = 0.05
     """Standard deviation of a wide lens's distortion."""
     wide_deg: float = 75.0
-    """Lenses of a greater field of view are wide."""
+    """Lenses with a greater field of view are wide."""
     fisheye_sd: float = 0.06
     """Standard deviation of t in a fisheye's mapping, x + t x^3, from the radius x in the image to
     the angle off the axis. An equidistant lens has 0, an equisolid one 1/24, a stereographic one
@@ -48,7 +48,7 @@ _CAMERAS = CameraModel()
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Rays(ImagePoints):
-    """The trusted columns of a skyline, with what the camera may be.
+    """The trusted columns of a skyline, with the range of possible cameras.
 
     Raises `InputError` where all weights are 0.
     """
@@ -58,7 +58,7 @@ class Rays(ImagePoints):
     fov_range_deg: tuple[float, float] | None = None
     """Range of the true field of view; by default it is `fov_deg` exactly."""
     lens: LensPrior = LensPrior()  # noqa: RUF009  (it is frozen)
-    """How likely the fields of view of that range are."""
+    """How likely the fields of view in that range are."""
     distortion_sd: float = 0.0
     """Standard deviation of the lens's distortion about 0; 0 for a panorama, and for a lens without
     distortion. A distortion k moves a ray outwards by k times its `reach`; see
@@ -120,7 +120,7 @@ class Rays(ImagePoints):
         return float(low), float(high)
 
     def searched_fov_deg(self, log_scale: Float64Array) -> Float64Array:
-        """Return `fov_at` of factors, held within `fov_bounds_deg`."""
+        """Return `fov_at` of factors, clipped to `fov_bounds_deg`."""
         return np.asarray(np.clip(self.fov_at(log_scale), *self.fov_bounds_deg))
 
     @property
@@ -137,10 +137,7 @@ class Rays(ImagePoints):
         return np.array([self.distortion_sd] if self.distortion_sd > 0.0 else [])
 
     def with_fov(self, fov_deg: float) -> "Rays":
-        """Return the photo's rays for another field of view.
-
-        It is in degrees, and within the range.
-        """
+        """Return the rays for another field of view, degrees, within the range."""
         u, v = self.scaled(np.asarray(self.projection.half_width(fov_deg) / self.half_width))
         return replace(self, u=u, v=v, fov_deg=fov_deg)
 
@@ -202,8 +199,7 @@ def in_runs(rays: Rays, count: int) -> Rays:
     """Average rays over ``count`` equal steps of u.
 
     Steps with few trusted rays are left out. The mean weight is 1. A panorama is joined from
-    photos, so it has ``count`` steps in each 60 degrees; a fisheye, which shows as much, has them,
-    too.
+    photos, so it has ``count`` steps in each 60 degrees, and so does a fisheye, which is as wide.
     """
     if rays.projection.spreads_angles:
         count = max(1, round(count * rays.fov_deg / REFERENCE_FOV_DEG))
@@ -225,7 +221,7 @@ def _averaged(rays: Rays, step: IntArray, kept: IntArray, weight: Float64Array) 
 def on_bins(rays: Rays, pitch_deg: float, bins: int) -> tuple[Float64Array, Float64Array]:
     """Return rays, levelled at one pitch, on B equal steps of azimuth.
 
-    These are the tangents y (B,) of its elevation angle, NaN outside the photo, and the trust (B,)
+    The results are tangents y (B,) of elevation angles, NaN outside the photo, and the trust (B,)
     in each, 0 outside. Bin B / 2 is straight ahead.
 
     Rays in one bin are averaged both in azimuth and in y, which removes noise without shifting a

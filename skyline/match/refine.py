@@ -55,7 +55,7 @@ from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints
 VIEW_WIDTH = 360
 """Columns of the views that refinement renders."""
 GREATEST_LOG_ODDS = 50.0
-"""Log odds beyond this count as this, so that their exponential exists."""
+"""Greater log odds count as this, so that their exponential is finite."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,24 +66,24 @@ class Moves:
     """Poses that are nearer to each other count as one, if they look within `SAME_VIEW_DEG` of each
     other."""
     rivals: int = 3
-    """Best poses of other answers, and best distant poses, that are kept to the end beside the best
-    pose: their fits show how sure an answer is."""
+    """How many of the best other answers, and of the best distant poses, are kept to the end: their
+    fits show how sure the best pose is."""
     likeliest_rounds: int = 4
     """Moves of the likeliest poses before they are compared with others."""
     restart_rounds: int = 3
-    """Renderings of each place on the rings from which the search restarts."""
+    """Renderings of each place on the rings where the search restarts."""
     restarts_m: tuple[float, ...] = (10.0, 30.0)
     """Radii of these rings: a near slope is found from 10 to 20 m away, a far one from farther."""
     first_step_m: float = 40.0
-    """Deviation that damps the first step."""
+    """Standard deviation with which the first step is damped."""
     longest_step_m: float = 120.0
-    """Greatest deviation that damps a step."""
+    """Greatest standard deviation with which a step is damped."""
     longer: float = 1.5
     """Factor on the next step after a step was kept."""
     shorter: float = 0.4
     """Factor on the next step after a step was not kept."""
     settling: int = 3
-    """Number of fits without a step, after which the chosen errors no longer change."""
+    """Number of fits without a step after which the chosen errors no longer change."""
     sector_margin_deg: float = 3.0
     """A view is rendered if the photo comes this near to it."""
 
@@ -96,13 +96,13 @@ class Effort:
     """How many poses a refinement follows, and for how many rounds."""
 
     shortlist: int
-    """Poses taken, the best by their costs."""
+    """Poses that are taken: the best by cost."""
     particles: int
-    """Poses that are moved, the best by one coarse rendering each."""
+    """Poses that are moved: the best by one coarse rendering each."""
     likeliest: int
-    """Poses that are moved besides, the best by their costs."""
+    """Further poses that are moved: the best by cost."""
     rounds: int
-    """Renderings of a pose that is kept, before the last rounds."""
+    """Renderings of each kept pose before the last rounds."""
     keep_share: float
     """Share of the poses kept from one round to the next."""
     keep_least: int
@@ -110,9 +110,9 @@ class Effort:
     restarts: int
     """Best places around which the search restarts."""
     weighed: int
-    """Places whose fits are weighed anew with correlated errors, from what has been rendered."""
+    """Places whose fits are weighed again with correlated errors, without another rendering."""
     finalists: int
-    """The best of these, which go through the last rounds."""
+    """The best of these, which enter the last rounds."""
     final_rounds: int
     """Most renderings of each in the last rounds."""
 
@@ -121,12 +121,12 @@ QUICK = Effort(
     shortlist=64, particles=16, likeliest=0, rounds=4, keep_share=0.6, keep_least=6,
     restarts=1, weighed=48, finalists=6, final_rounds=3,
 )  # fmt: skip
-"""Enough for most skylines, which fit one place far better than any other."""
+"""The effort for most skylines, which fit one place far better than any other."""
 WHOLE = Effort(
     shortlist=1600, particles=128, likeliest=12, rounds=8, keep_share=0.8, keep_least=32,
     restarts=6, weighed=48, finalists=12, final_rounds=5,
 )  # fmt: skip
-"""For all other skylines."""
+"""The effort for all other skylines."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -136,7 +136,7 @@ class Particles(Rows):
     curves: Curves
     fit: Fit
     step_m: Float64Array
-    """(M,) float64. Deviation that damps the next step."""
+    """(M,) float64. Standard deviation with which the next step is damped."""
 
     def best(self, count: int) -> "Particles":
         """Return the best ``count`` of those that fit at all, best first."""
@@ -144,9 +144,9 @@ class Particles(Rows):
         return self[order[np.isfinite(self.fit.cost[order])]]
 
     def kept(self, new: "Particles", better: BoolArray) -> "Particles":
-        """Return the new particles where they are better, and these particles elsewhere.
+        """Return each new particle that is better, and otherwise the old one.
 
-        The next step is longer after new particles, and shorter after these.
+        The next step of a new particle is longer, and that of an old one shorter.
         """
         step_m = self.step_m * np.where(better, MOVES.longer, MOVES.shorter)
         return replace(self.replaced(better, new), step_m=np.minimum(step_m, MOVES.longest_step_m))
@@ -155,9 +155,9 @@ class Particles(Rows):
 class Refinement:
     """The refinement of one photo's poses.
 
-    The height of the eye above the ground is solved for, about the usual one of ``eye``, by default
-    the height of a person, unless the prior's narrowing gives it. It starts at
-    ``first_eye_height_m``, by default at the usual one.
+    The height of the eye above the ground is solved for, unless the prior's narrowing gives it. Its
+    prior is ``eye``, by default the height of a person, and it starts at ``first_eye_height_m``, by
+    default the usual height.
     """
 
     def __init__(
@@ -193,8 +193,8 @@ class Refinement:
         not taken, and a pose that starts there gives no pose. A column without data is
         unknown, and counts no more than one that shows a tree.
 
-        The costs, headings and fields of view of the poses are used, but not their eyes'
-        elevations.
+        The poses' costs, headings and fields of view are used, but not the elevations of their
+        eyes.
         """
         effort = self.effort
         best = np.argsort(poses.cost, kind="stable")[: effort.shortlist]
@@ -221,7 +221,7 @@ class Refinement:
         return self.with_figures(self.distinct(particles, effort.finalists))
 
     def started(self, solver: Solver, poses: Poses) -> Particles:
-        """Return particles at poses, their attitudes solved from there."""
+        """Return particles at poses, with attitudes solved from the poses' own."""
         place_m = poses.easting_m + 1j * poses.northing_m
         fit = solver.start(poses)
         if self._first_eye_height_m is not None:
@@ -276,7 +276,7 @@ class Refinement:
         return around
 
     def arrived(self, solver: Solver, place_m: Complex128Array, fit: Fit) -> Particles:
-        """Return particles at places, their attitudes solved there.
+        """Return particles at places, with attitudes solved there.
 
         Particles off the map have no fit.
         """
@@ -317,7 +317,7 @@ class Refinement:
         return Curves.of(y, distance_m, place_m, ground_m, slope, height_m, surface_y)
 
     def survivors(self, particles: Particles, count: int) -> Particles:
-        """Return the best particles, and the rivals of the very best."""
+        """Return the best particles, and the rivals of the best one."""
         ordered = particles.best(len(particles))
         chosen = np.arange(min(count, len(ordered)))
         place = ordered.curves.place_m
@@ -329,7 +329,7 @@ class Refinement:
     def distinct(self, particles: Particles, count: int) -> Particles:
         """Return the best distinct particles, best first.
 
-        The very best one's rivals are among them.
+        The rivals of the best one are among them.
         """
         standing = self.poses(particles)
         return particles[best_and_rivals(standing, count, SAME_VIEW_DEG)]
@@ -366,9 +366,9 @@ class Refinement:
         return replace(poses, fits=fits)
 
     def _of_elevation(self, poses: Poses, covariance: Float64Array) -> Float64Array:
-        """Return covariances (M, P, P) of the eye's elevation in place of its height.
+        """Return covariances (M, P, P) with the eye's elevation for its height.
 
-        An eye that moves on sloping ground keeps its height above it.
+        An eye that moves over sloping ground keeps its height above it.
         """
         easting_m, northing_m = poses.easting_m, poses.northing_m
         to_elevation = np.tile(np.eye(covariance.shape[-1]), (len(poses), 1, 1))
@@ -391,7 +391,7 @@ class Refinement:
 def together(parts: Sequence[Poses], count: int) -> Poses:
     """Return the best distinct poses of several refinements, best first.
 
-    Their margins are over all of them. The parts are of one photo, each from another area.
+    Their margins are over the poses of all refinements, which are of one photo in different areas.
     """
     if len(parts) == 1:
         return parts[0]
@@ -426,7 +426,7 @@ def spread_m2(poses: Poses, covariance_m2: Float64Array) -> Float64Array:
 def best_and_rivals(standing: Poses, count: int, turn_deg: float = 360.0) -> IntArray:
     """Return the indices of the best distinct poses, best first.
 
-    The rivals of the very best pose are among them.
+    The rivals of the best pose are among them.
     """
     chosen = standing.suppress_non_maxima(count, MOVES.separation_m, turn_deg)
     apart_m = standing.distances_m()[chosen[:1]]

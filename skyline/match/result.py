@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 TOP = 5
-"""Candidates that a search returns, unless it is asked for another number."""
+"""Candidates that a search returns by default."""
 _OF_CAMERA = (
     "heading_deg", "pitch_deg", "roll_deg", "fov_deg", "distortion", "beyond_share",
     "residual_deg", "terrain_share", "skyline_m", "covariance",
@@ -39,7 +39,7 @@ _COVARIANCE = ("easting_variance_m2", "northing_variance_m2", "easting_northing_
 class Disagreement:
     """Errors above which a photo's notes disagree with an answer.
 
-    Phones are seldom that wrong.
+    Phones are seldom this wrong.
     """
 
     position_m: float = 500.0
@@ -77,9 +77,9 @@ class MatchResult:
     id : str
         The ``id`` or ``name`` that a list of photos gives it; else empty.
     narrowing : Narrowing or None
-        What was known about the pose in a search of this photo alone; None where there was none.
+        What was known about the pose in a search for this photo alone; None for any other result.
     crs : pyproj.CRS
-        Of longitudes and latitudes: WGS 84, or degrees on another world than the Earth.
+        The CRS of longitudes and latitudes: WGS 84, or degrees on another world.
     """
 
     skyline: PhotoSkyline
@@ -150,7 +150,7 @@ class MatchResult:
     def beyond(self) -> str | None:
         """A warning that the skyline may lie beyond the elevation model.
 
-        It is given from a tenth of the skyline on.
+        It is given if a tenth of the skyline or more may.
         """
         share = None if self.best is None else self.best.beyond_share
         if share is None or share < 0.1:
@@ -164,9 +164,9 @@ class MatchResult:
     def exif(self) -> dict[str, Any] | None:
         """The pose noted in EXIF, and how far off the best candidate lies.
 
-        The keys are as in ``exif`` of ``skyline match --json``. ``heading_off_deg`` is how far
-        the best candidate's heading is clockwise of the photo's; ``heading_is_magnetic`` is None
-        where the photo does not say which north it counts from; ``left_aside`` names the GPS tags
+        The keys are as in ``exif`` of ``skyline match --json``. ``heading_off_deg`` is how far the
+        best candidate's heading is clockwise of the photo's; ``heading_is_magnetic`` is None if the
+        photo does not say which north its direction counts from; ``left_aside`` names the GPS tags
         that cannot be used, with the reasons. None where the photo notes nothing.
         """
         noted = self.skyline.noted
@@ -192,7 +192,7 @@ class MatchResult:
         }
 
     def exif_in_words(self, with_place: bool = True) -> str:
-        """Return `exif` in sentences, with the noted longitude and latitude or without."""
+        """Return `exif` in sentences, with or without the noted position."""
         exif = self.exif
         best = self.best
         if exif is None:
@@ -358,10 +358,7 @@ class JointResult:
 
     @property
     def within_m(self) -> float | None:
-        """Distance within which the answer is sure to be right.
-
-        None without an answer.
-        """
+        """Distance within which the answer is surely right; None without one."""
         return None if self.first is None else self.first.within_m
 
     @property
@@ -476,8 +473,8 @@ def to_geodataframe(results: Iterable[MatchResult]) -> "GeoDataFrame":
     geopandas.GeoDataFrame
         Points in the results' `crs`, WGS 84 on the Earth, with ``photo`` (the result's number, from
         0), ``rank`` (1 is the best), ``is_answer`` (whether it is the answer) and the fields of
-        `Pose`; of the place's covariance three columns, which files can hold. Unknown values are
-        missing.
+        `Pose`; the place's covariance becomes three columns, which files can hold. Unknown values
+        are missing.
 
     Raises
     ------

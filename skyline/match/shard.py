@@ -1,4 +1,4 @@
-"""A shard: places of one elevation model, and what a search asks of them.
+"""A shard: places of one elevation model, which a search questions.
 
 A search ranks the places of all shards together. It asks each shard for scores, turns and fits of
 the shard's own places, and chooses among what it gets. A shard keeps nothing about a photo.
@@ -97,7 +97,7 @@ class Shard:
     def alike_places(
         self, screens: Sequence[Screen], priors: Sequence[Prior], report: ReportProgress = silent
     ) -> AlikePlaces:
-        """Return all places within the narrowings of all priors, with their scores for photos."""
+        """Return all places within all narrowings, with their scores for photos."""
         alike = self.screened(screens, priors, len(self), report=report)
         columns = [
             (one.easting_m, one.northing_m, one.tolerance_m) for one in self._places.blocks()
@@ -109,7 +109,7 @@ class Shard:
         return AlikePlaces(easting_m, northing_m, half_m.astype(np.float64), score)
 
     def rescored(self, screens: Sequence[Screen], rows: IntArray) -> Float32Array:
-        """Return the sums of photos' scores at places (M,), in order."""
+        """Return the summed scores of photos at places (M,), in order."""
         return rescored(_sum_of(screens), self._places, rows)
 
     def best_turns(self, screen: Screen, rows: IntArray, count: int) -> Turns:

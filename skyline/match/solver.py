@@ -9,9 +9,9 @@ horizontal distance d move by
     \mathrm{d}y = (y\,(e \sin a + n \cos a) - up) / d
 
 The eye moves on the ground, whose slope ties up to e and n, at a height above it. One rendering
-with its depth therefore gives the derivatives by all unknowns. The assumed errors start large and
-shrink as the fit improves: far terrain, which moves least, is fitted first, and near terrain
-follows.
+with its depth therefore gives the derivatives with respect to all unknowns. The assumed errors
+start large and shrink as the fit improves: far terrain, which moves least, is fitted first, and
+near terrain follows.
 """
 
 from collections.abc import Sequence
@@ -39,10 +39,10 @@ radians; `Rays.log_scale` of the field of view. The columns from `WARP` on are t
 image, see `Rays.warp_sd`."""
 
 ANGLES_DEG = np.array([0.03, 0.05, 0.08, 0.12, 0.2, 0.3, 0.5, 0.8])
-"""Standard deviations of the photo's error, from which the most likely is chosen."""
+"""Standard deviations of the photo's error from which the likeliest is chosen."""
 HEIGHT_SHARES = np.array([1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0, 2.0])
 """Standard deviations of the terrain model's heights, as multiples of the expected one, from which
-the most likely is chosen."""
+the likeliest is chosen."""
 TEMPERATURE = 8.0
 """Differences of costs, divided by this, are log odds. Neighbouring columns share errors that are
 not modelled."""
@@ -89,9 +89,11 @@ class SolverPriors:
     largest errors that these rounds assume, and it would bend the skylines of wrong slopes to
     fit."""
     damping_rad: float = 0.05
-    """Deviation that damps a step of the attitude, and of the field of view's logarithm."""
+    """Standard deviation with which a step of the attitude, and of the field of view's logarithm,
+    is damped."""
     upward: float = 0.25
-    """Deviation that damps a step of the eye's height, as a share of its place's deviation."""
+    """Standard deviation with which a step of the eye's height is damped, as a share of the one for
+    its place."""
 
 
 _PRIORS = SolverPriors()
@@ -104,7 +106,8 @@ class SolverMode:
     steps: int
     """Gauss-Newton steps from one rendering."""
     choices: int
-    """The errors' deviations are chosen anew before each of the first so many steps."""
+    """Number of first steps before each of which the errors' standard deviations are chosen
+    again."""
     nodes: int
     """Height errors along a skyline; see `HeightErrors.of`."""
     bins: int = 1440
@@ -114,7 +117,7 @@ class SolverMode:
 SCOUT = SolverMode(steps=3, choices=4, nodes=0, bins=480)
 """For a first look at many poses."""
 ROUGH = SolverMode(steps=3, choices=4, nodes=0)
-"""For the search: quick, and it converges from farther away."""
+"""For the search: quick, and converges from farther away."""
 FOLLOW = SolverMode(steps=3, choices=2, nodes=0)
 """For poses that move on after a rough fit. The chosen deviations change little from one rendering
 to the next, and choosing them is most of a fit's work."""
@@ -152,8 +155,8 @@ class Curves(Rows):
         """Return the curves of skylines all the way round.
 
         The skylines are as `joined_views` returns them. ``ground_slope`` (M, 2) is the rise of the
-        ground a metre to the east and to the north, ``surface_y`` (M, B) the elevation tangents of
-        the surface model, seen by the same eyes.
+        ground per metre to the east and to the north, ``surface_y`` (M, B) the elevation tangents
+        of the surface model, seen by the same eyes.
         """
         step = 2.0 * np.pi / y.shape[1]
         slope = (np.roll(y, -1, axis=1) - np.roll(y, 1, axis=1)) / (2.0 * step)
@@ -187,9 +190,9 @@ class Fit(Rows):
     state: Float64Array
     """(M, P) float64. See `EAST` to `WARP`; displacements are from the eye of the curve."""
     angle_index: IntArray
-    """(M,) intp. Chosen deviation of the photo's error, as an index into `ANGLES_DEG`."""
+    """(M,) intp. Chosen standard deviation of the photo's error, as an index into `ANGLES_DEG`."""
     height_index: IntArray
-    """(M,) intp. Chosen deviation of the heights, as an index into `HEIGHT_SHARES`."""
+    """(M,) intp. Chosen standard deviation of the heights, as an index into `HEIGHT_SHARES`."""
     cost: Float64Array
     """(M,) float64. Negative log of the likelihood and the priors, integrated over the attitude;
     infinite for a state that does not fit."""
@@ -214,7 +217,7 @@ class Linearization:
     place_m: Complex128Array
     """(M,) complex128. Places of the states' eyes; see `Curves`."""
     eye_m: Float64Array
-    """(M,) float64. Elevations of the states' eyes, above level ground around the curve's eye."""
+    """(M,) float64. Elevations of the states' eyes over level ground around the curve's eye."""
     elevation_tan: Float64Array
     """(M, R) float64. Elevation tangent of the terrain's skyline; NaN where unknown."""
 
@@ -322,8 +325,8 @@ class Solver:
     def improve(self, curves: Curves, fit: Fit, step_m: Float64Array) -> Fit:
         """Return fits after the mode's steps from one rendering.
 
-        The deviations of their errors are chosen anew. ``step_m`` (M,) is the deviation that damps
-        the eye's displacement; with 0 the eye stays.
+        The standard deviations of their errors are chosen again. ``step_m`` (M,) is the standard
+        deviation with which the eye's displacement is damped; with 0 the eye stays.
         """
         errors = None
         for step in range(self.mode.steps + 1):
@@ -338,9 +341,9 @@ class Solver:
     def settle(self, curves: Curves, fit: Fit) -> Fit:
         """Return fits whose attitude is solved from a distant start.
 
-        The eye stays where it is. Large errors take trees for terrain and stay large. A second
-        start therefore begins at the pitch on which most columns agree, and the better of both
-        counts.
+        The eye stays where it is. With large assumed errors, trees are taken for terrain, and the
+        errors stay large. A second start therefore begins at the pitch on which most columns agree,
+        and the better of the two counts.
         """
         none = np.zeros(len(fit.cost))
         wide = self.improve(curves, fit, none)
@@ -372,7 +375,7 @@ class Solver:
         return linear, self._likelihood(fit, linear, errors)
 
     def covariance(self, fit: Fit, linear: Linearization, found: Likelihood) -> Float64Array:
-        """Return the covariance (M, P, P) of states, priors included."""
+        """Return the covariance (M, P, P) of states, including the priors."""
         normal = found.product(linear.jacobian, linear.jacobian)
         normal += self._information_at(fit.state)
         self._pull_to_noted(linear, normal, np.zeros(normal.shape[:2]))
@@ -447,7 +450,7 @@ class Solver:
         )
 
     def _likelihood(self, fit: Fit, linear: Linearization, errors: HeightErrors) -> Likelihood:
-        """Return the likelihood of states for their chosen deviations.
+        """Return the likelihood of states for their chosen errors.
 
         Its cost includes the priors.
         """
@@ -484,10 +487,7 @@ class Solver:
         errors: HeightErrors,
         steps: Sequence[tuple[int, int]],
     ) -> tuple[Fit, Likelihood]:
-        """Return the fit with the likeliest deviations.
-
-        They are the current ones, or those after one of the steps.
-        """
+        """Return the fit with the likeliest errors: its own or neighbouring ones."""
         angle_index = fit.angle_index
         height_index = fit.height_index
         best = self._likelihood(fit, linear, errors)

@@ -1,9 +1,8 @@
 """Shards of a search on the workers of a cluster.
 
-The process that matches ranks, chooses and refines. Workers screen the places and fit poses to
-them, each its own part, of which it alone reads the bytes. A worker keeps nothing about a photo, so
-another one can answer in its place: if it dies, that one is asked. The answers are those of one
-process, to the bit.
+The process that matches ranks, chooses and refines. Each worker screens its own part of the places
+and fits poses to them; only it reads their bytes. A worker keeps nothing about a photo, so if it
+dies, another one is asked. The answers are those of one process, to the bit.
 """
 
 import math
@@ -34,7 +33,7 @@ from skyline.terrain.heightfield import Ground, ground_of
 
 _PARTS_A_WORKER = 2
 """Parts of the places for each worker: the best places lie close together, and each worker should
-fit its share of them. More parts are more questions, of 10 ms each."""
+fit its share of them. More parts take more questions, of 10 ms each."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,7 +149,7 @@ def distant_shards(
 ) -> list[list[DistantShard]]:
     """Return the shards of areas with so many places each.
 
-    All workers have as many places.
+    All workers get equally many places.
     """
     blocks = max(1, -(-sum(rows) // (_PARTS_A_WORKER * max(runner.workers, 1) * PLACES_A_CHUNK)))
     shards = []

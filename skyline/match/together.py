@@ -1,4 +1,4 @@
-"""Refinement of several photos of one eye, together."""
+"""Joint refinement of several photos of one eye."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -45,16 +45,16 @@ class JointRefinement:
 
     Each photo has its own attitude and field of view, and all share the eye. A round renders the
     view of each photo from each place, lets each photo solve its own step, and moves the eye by the
-    mean of these steps, weighted by their precisions. That is the Gauss-Newton step of all unknowns
+    mean of these steps, weighted by their precisions. This is the Gauss-Newton step of all unknowns
     together. The cost of a place is
 
     .. math::
 
         -T \sum_q \log(e^{-(c_q - b_q) / T} + e^{-L})
 
-    with c_q the cost of photo q there, b_q its least cost anywhere, and T the factor between
-    costs and log odds. The second term is the possibility that q was taken somewhere else: a photo
-    that does not belong to the others costs at most T L at any place.
+    with c_q the cost of photo q there, b_q its least cost anywhere, and T the factor between costs
+    and log odds. The second term allows for q having been taken somewhere else: a photo that does
+    not belong to the others costs at most T L at any place.
     """
 
     def __init__(self, refinements: Sequence[Refinement]) -> None:
@@ -66,15 +66,15 @@ class JointRefinement:
     def run(
         self, found: Sequence[Poses], alone: Sequence[Poses]
     ) -> tuple[tuple[Poses, ...], BoolArray]:
-        """Return the M places where the N photos fit together.
+        """Return the M places where the N photos fit together, best first.
 
-        They are sorted, best first; the second value says which photos agree there. ``found`` holds
-        each photo's poses; all photos have the same places in the same order, best first. ``alone``
-        holds the best pose from each photo's own refinement, if there is one. The returned poses of
-        each photo are at the same places; their costs are the costs of the places. Margins and
-        covariances are joint ones, with the information of one average photo, not the sum: photos
-        of one place share the terrain model's errors. A photo agrees, (N, M) bool, where it was
-        more likely taken than somewhere else.
+        The second value says which photos agree there. ``found`` holds each photo's poses; all
+        photos have the same places in the same order, best first. ``alone`` holds the best pose
+        from each photo's own refinement, if there is one. The returned poses of each photo are at
+        the same places; their costs are the costs of the places. Margins and covariances are joint
+        ones, with the information of one average photo, not the sum: photos of one place share the
+        terrain model's errors. A photo agrees, (N, M) bool, with a place where it was more likely
+        taken than elsewhere.
         """
         effort = self._effort
         particles = [
@@ -118,7 +118,7 @@ class JointRefinement:
     def _kept(self, particles: Sequence[Particles], count: int) -> list[Particles]:
         """Return the best distinct places, best first.
 
-        The very best one's rivals are among them.
+        The rivals of the best one are among them.
         """
         standing = self._solos[0].poses(particles[0])
         standing = replace(standing, cost=_cost(self._off(particles)))
@@ -132,9 +132,9 @@ class JointRefinement:
         return cost - np.where(np.isfinite(least), least, 0.0)[:, np.newaxis]
 
     def _precision(self, particles: Sequence[Particles], share: Float64Array) -> Float64Array:
-        """Return the precisions (N, M, 3, 3) of the eye.
+        """Return each photo's precision of the eye, (N, M, 3, 3).
 
-        Each photo gives one, which counts with its ``share``.
+        Each counts with its ``share``.
         """
         covariance = np.stack(
             [
@@ -174,7 +174,7 @@ class JointRefinement:
 
 
 def _at_best_headings(solo: Refinement, place_m: Complex128Array) -> Particles:
-    """Return a photo's best particle of all headings, by place."""
+    """Return a photo's best particle over all headings, by place."""
     turn_deg = np.arange(0.0, 360.0, _SEARCH.heading_step_deg)
     at_m = place_m[np.repeat(np.arange(len(place_m)), len(turn_deg))]
     none = np.zeros(len(at_m))

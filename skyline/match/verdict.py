@@ -1,14 +1,14 @@
-"""The verdict on a match: how sure it is, or why refused.
+"""The verdict on a match: how sure, or why refused.
 
-All reasons for which a photo has no answer are here, in the order in which they are asked:
+All reasons for having no answer are here, in the order in which they are checked:
 
 1. `too_little`, before the search: the photo shows too little skyline.
 2. `Verdict.of_search`, `Verdict.of_joint_search` and `Verdict.of_fit`, after a search of one photo,
    a search of several, and a fit without a search. A heading at a known place is judged by
    `refusal_of`, with the doubts that `skyline.orientation` has.
 
-A pose is refused for lack of confidence before it is refused for its field of view. That the photo
-may have another projection is said besides, since it may be the cause.
+A pose is refused for lack of confidence before it is refused for its field of view. If the photo
+may have another projection, the refusal says that as well, since it may be the cause.
 """
 
 from collections.abc import Iterable, Sequence
@@ -31,17 +31,17 @@ class _Limits:
     """Least width of a skyline. Screening compares rises over 2 degrees, and a pose has seven
     unknowns: below 14 degrees there are fewer rises than unknowns."""
     near_slope_m: float = 150.0
-    """Skylines nearer than this, by their harmonic mean distance, do not suffice in half of the
+    """Skylines whose harmonic mean distance is less than this are not enough for half of the
     photos: wrong slopes fit as well (docs/accuracy.md)."""
     at_bound_share: float = 1e-3
     """A field of view counts as at an end of the searched range if its distance from the end is
     less than this share of the range: a fit held at a bound may differ from it by rounding."""
     unexpected_lens_sds: float = 2.0
-    """Fields of view less likely than so many standard deviations are named as unexpected."""
+    """Fields of view less likely than this many standard deviations are called unexpected."""
     least_of_fit: float = 0.7
     """Least share of right poses among those that fit like a given one. The share is learned from
-    the best poses of searches; a pose that a person gives is right more often. On terrain left out
-    three in four are right above 0.7, and no more above 0.8: a fit alone tells no more."""
+    the best poses of searches; a pose that a person gives is right more often. On terrain left out,
+    three in four are right above 0.7, and no more above 0.8: a fit alone cannot tell more."""
 
 
 _LIMITS = _Limits()
@@ -93,7 +93,7 @@ class Verdict:
         """Return the verdict on the common places of the photos that agree.
 
         ``candidates`` has the poses of each photo at these places, best first, and ``others`` the
-        photo's name and its likeliest other projection; they are asked for only if nothing else
+        photo's name and its likeliest other projection; they are computed only if nothing else
         speaks against the places.
         """
         if len(candidates) < 2:
@@ -134,7 +134,7 @@ class Verdict:
 
     @classmethod
     def _on(cls, best: Pose, refusal: str | None, config: MatchConfig) -> "Verdict":
-        """Return the verdict on a pose, the answer unless refused."""
+        """Return the verdict on a pose: the answer, unless refused."""
         return cls(refusal, None if refusal else _sure_within_m(best, config))
 
 
@@ -189,16 +189,16 @@ def refusal_of(
 
 
 def candidate_reached(candidates: Sequence[Pose], start: Pose, fitted: Pose | None) -> Pose | None:
-    """Return the candidate to which a fit has led.
+    """Return the candidate to which a fit has led, or None.
 
-    None if it led elsewhere. The fit leads to the nearest candidate of the same answer, or back to
+    The fit leads to the nearest candidate of the same answer, or back to
     the one that it started from, whichever fits better. A pose that fits better than both replaces
-    the nearest candidate: it gets the rank and the confidences, which are of the answer. But where
-    a pose fits better than all candidates, only the best one's answer can be its own; the search
-    did not know of others.
+    the nearest candidate: it gets the rank and the confidences, which belong to the answer. But a
+    pose that fits better than all candidates can only be the best one's answer; the search did not
+    know of others.
 
-    Costs compare, since a fit ends with the rays and the prior of the search. Of two poses of one
-    answer neither fits better if their odds are less than e to 1.
+    Costs can be compared, since a fit ends with the rays and the prior of the search. Neither of
+    two poses of one answer fits better if their odds are less than e to 1.
     """
 
     def nearest(pose: Pose) -> Pose | None:
@@ -225,9 +225,9 @@ def candidate_reached(candidates: Sequence[Pose], start: Pose, fitted: Pose | No
 def _sure_within_m(best: Pose, config: MatchConfig) -> float | None:
     """Return the distance within which a pose is surely right.
 
-    It is 200 or 1000 m. None if it is sure within neither. An answer within 200 m may leave half
-    the doubt that an answer within 1 km may leave, and the pose's radius may not exceed 200 m: a
-    wrong answer is worse than a vague one.
+    It is 200 or 1000 m, or None. An answer within 200 m may leave half the doubt that an answer
+    within 1 km may leave, and the pose's radius may not exceed 200 m: a wrong answer is worse than
+    a vague one.
     """
     doubt = 1 - config.min_confidence
     if best.confidence is None or best.confidence_1km is None:
@@ -274,10 +274,7 @@ def _fov_hint(best: Pose, skyline: PhotoSkyline, rays: Rays) -> str:
 
 
 def _fov_at_bound(best: Pose, rays: Rays) -> str | None:
-    """Return the refusal of a field of view at a bound.
-
-    None for a field of view within the range searched.
-    """
+    """Return the refusal of a field of view at a bound, or None."""
     low_deg, high_deg = rays.fov_bounds_deg
     near_deg = _LIMITS.at_bound_share * (high_deg - low_deg)
     if low_deg == high_deg or low_deg + near_deg < best.fov_deg < high_deg - near_deg:

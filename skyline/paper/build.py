@@ -1,4 +1,4 @@
-"""Stores of renderings whose viewpoints one of the paper's strategies chooses."""
+"""Stores of renderings whose viewpoints a strategy of the paper chooses."""
 
 import time
 from dataclasses import replace
@@ -32,10 +32,10 @@ def build_planned(
     coverage that renderings confirm; None if the store already exists with the same settings.
 
     Bounds are W, S, E, N in degrees, by default all of the terrain. ``progress`` is called after
-    each batch with the share that is covered, of 100.
+    each batch with the covered share, of 100.
 
-    Raises `InputError` where the area cannot be planned, and `StoreMismatchError` where the store
-    at ``path`` was built from another DEM or with other settings.
+    Raises `InputError` if the area cannot be planned, and `StoreMismatchError` if the store at
+    ``path`` was built from another DEM or with other settings.
     """
     started = time.perf_counter()
     path = Path(path).resolve()

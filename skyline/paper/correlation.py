@@ -130,8 +130,8 @@ class Profiles:
         """Return the profiles of locations that have views in any heading.
 
         Each chunk has the keypoint columns (N, K) uint16 of its views, padded with 65535 (see
-        `skyline.skylines.polyline_vertices`). The views of one location may lie in
-        different chunks. Of two views with the same eye and heading the later one counts.
+        `skyline.skylines.polyline_vertices`). The views of one location may lie in different
+        chunks. If two views have the same eye and heading, the later one counts.
         """
         bins = 2048  # One has 0.176 degrees, like a pixel in the middle of a view of 640 columns.
         eyes = []
@@ -167,7 +167,7 @@ class Profiles:
 def at_pitches(
     rays: Rays, bins: int, pitches_deg: Sequence[float] = PITCHES_DEG
 ) -> list[tuple[float, Float64Array, Float64Array]]:
-    """Return a photo's skyline at each pitch that is assumed.
+    """Return a photo's skyline at each assumed pitch.
 
     Each pitch in degrees comes with the tangents and the weights, (B,) each, that `on_bins` returns
     at it. The camera is taken not to roll.
@@ -196,10 +196,10 @@ class ProfileMatcher(SearchMethod):
         return self.profiles.eyes
 
     def search(self, rays: Rays, prior: Prior, top: int, report: ReportProgress = silent) -> Poses:
-        """Return up to ``top`` poses, best first, at most one a location.
+        """Return up to ``top`` poses, best first, at most one per location.
 
-        Locations where nothing fits are left out. Of equal costs the location that comes first in
-        the store wins.
+        Locations where nothing fits are left out. Between equal costs, the location that comes
+        first in the store wins.
         """
         poses = self.fit(rays)
         return poses[poses.suppress_non_maxima(top, 0.0)]
@@ -216,7 +216,7 @@ class ProfileMatcher(SearchMethod):
 class CorrelationMatcher(ProfileMatcher):
     """The plain baseline: the greatest normalized correlation wins.
 
-    The transforms of profiles are computed anew for each photo: to keep them would save little
+    The transforms of profiles are computed anew for each photo: keeping them would save little
     time, and take several times the memory of the profiles.
     """
 
@@ -238,7 +238,7 @@ class CorrelationMatcher(ProfileMatcher):
     ) -> tuple[Float64Array, Float64Array, IntArray]:
         """Return the greatest ncc at each location, with its pitch and turn.
 
-        It is -inf where there is none.
+        The ncc is -inf where there is none.
         """
         transforms = _transformed(y)
         row = np.arange(len(y))

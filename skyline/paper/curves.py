@@ -1,12 +1,12 @@
-"""Section 3, matching: local skylines, Chamfer distances, and affine maps of skylines.
+"""Section 3, matching: local skylines, Chamfer distances, affine maps.
 
 Curves are over azimuth and tangent of elevation, both in px of a 640 column view. A patch is the
 local skyline of a keypoint, S samples of it relative to the keypoint.
 
-RANSAC finds the map that most correspondences agree on. That map rests on keypoints, whose place
+RANSAC finds the map with which most correspondences agree. That map rests on keypoints, whose place
 along a smooth skyline is uncertain by several px, so it is then refined on the whole curve. Without
-this step the distance after warping depends more on RANSAC's random choices than on the likeness of
-the skylines.
+this step, the distance after warping depends more on RANSAC's random choices than on the likeness
+of the skylines.
 """
 
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ from skyline.paper.correlation import TANGENT_PER_PX, Profiles
 from skyline.skylines import NO_KEYPOINT, polyline_vertices
 
 INLIER_PX = 4.0
-"""A correspondence agrees with a map that puts its point this near."""
+"""A correspondence agrees with a map that puts its point within this distance."""
 
 
 def patch_offsets(bin_px: float) -> IntArray:
@@ -219,10 +219,10 @@ def nearest_patches(
 
 
 def ransac_maps(source: Float64Array, target: Float64Array, used: BoolArray) -> Float64Array:
-    """Return the affine maps on which most correspondences agree, by OpenCV's RANSAC.
+    """Return the affine maps with which most correspondences agree (RANSAC).
 
     Points of a low skyline lie nearly on a line, which leaves an affine map undetermined across
-    that line. Where the affine map is not plausible, the similarity on which most correspondences
+    that line. If the affine map is not plausible, the similarity with which most correspondences
     agree is taken instead.
 
     Points ``source`` (P, 2) are mapped to ``target`` (F, P, 2), in each of F sets of
@@ -274,9 +274,9 @@ def align_curves(
 ) -> Float64Array:
     """Improve affine maps (C, 2, 3) from a curve to closed curves.
 
-    There is one map to each of C closed curves. Six damped steps of Gauss-Newton lessen the
-    vertical distance between the warped points and the closed curve at the azimuth where they land.
-    A point farther off than about `INLIER_PX` counts less and less. A map of NaN stays NaN.
+    There is one map to each of C closed curves. Six damped Gauss-Newton steps reduce the vertical
+    distance between the warped points and the closed curve at the azimuth where they land. A point
+    farther off than about `INLIER_PX` counts less and less. A map of NaN stays NaN.
 
     The abscissas of the curve's points (R, 2) count from straight ahead, and each point has a
     weight (R,). Ordinates of the closed curves are (C, B), over a whole turn, in bins ``bin_px``

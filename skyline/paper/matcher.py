@@ -3,13 +3,13 @@ r"""Section 3: the paper's matcher.
 Skylines are curves over azimuth and tangent of elevation, both in px of a 640 column view, and the
 stored views of a location are joined all the way round. Each keypoint of the photo corresponds to
 the location's keypoint with the nearest local skyline by Chamfer distance. RANSAC finds the affine
-map on which most correspondences agree. The cost is the rms vertical distance in px between the
+map with which most correspondences agree. The cost is the rms vertical distance in px between the
 warped skyline of the photo and the stored one. The affine map also gives the camera's heading,
 pitch and roll.
 
-These steps take seconds for all locations at all assumed pitches. A shortlist, which is not the
-paper's, chooses the pairs of a location and a pitch that go through them. The skylines, thinned,
-are laid over each other in every direction. A tilt and an affine map near the identity change the
+These steps take seconds for all locations at all assumed pitches. A shortlist, which the paper does
+not have, chooses the pairs of a location and a pitch that go through them. The thinned skylines are
+laid over each other in every direction. A tilt and an affine map near the identity change the
 photo's skyline q(x) to first order by a combination of a few known curves (1, cos x, sin x, q', x
 q'). So the least rms distance after such a warp is the rms of the difference, with those curves
 projected out:
@@ -62,8 +62,8 @@ class _Search:
     vote_turns: float = 1.0 / 64.0
     """Correspondences vote together for a direction within this share of a turn."""
     reach_turns: float = 1.0 / 32.0
-    """Correspondences farther from the direction than this share of a turn are left out: it is more
-    than a plausible map stretches a view 60 degrees wide."""
+    """Correspondences farther from the direction than this share of a turn are left out: no
+    plausible map stretches a view 60 degrees wide by that much."""
     thinning: int = 4
     """Bins that are averaged to one for the shortlist; profiles have a multiple of it."""
 
@@ -74,7 +74,7 @@ _SEARCH = _Search()
 class PaperMatcher(ProfileMatcher):
     """The paper's matcher over whole 360 degree profiles.
 
-    The affine map takes up what lies between the assumed pitches, and the roll.
+    The affine map accounts for the roll, and for pitches between the assumed ones.
     """
 
     def __init__(
@@ -125,9 +125,9 @@ class PaperMatcher(ProfileMatcher):
 def _projected(y: Float64Array, weight: Float64Array) -> tuple[Complex64Array, Float64Array]:
     """Return a photo's curve, prepared for distances after a small warp.
 
-    The curve q (B,) is given as tangents. Returned are the conjugate Fourier transforms (2 + F, B /
-    2 + 1) of w, w q and w b, for F curves b of the basis, and the sums (1 + F,) of w q^2 and w b q.
-    The weights w have a sum of 1.
+    The curve q (B,) is given as tangents. The results are the conjugate Fourier transforms (2 + F,
+    B / 2 + 1) of w, w q and w b, for F curves b of the basis, and the sums (1 + F,) of w q^2 and w
+    b q. The weights w have a sum of 1.
     """
     weight = weight / weight.sum()
     bins = np.arange(len(y))
@@ -201,9 +201,9 @@ def _agreeing_shifts(shift: IntArray, known: BoolArray, bins: int) -> tuple[IntA
     others within `_Search.vote_turns`. Shifts farther from it than `_Search.reach_turns` can only
     be outliers and are left out.
 
-    Shifts (C, Q) are the bin of the location less the photo's bin in each correspondence; ``known``
-    (C, Q) marks the correspondences that exist. Shifts are returned within half a turn of the
-    agreed one.
+    Shifts (C, Q) are the bin of the location minus the photo's bin in each correspondence;
+    ``known`` (C, Q) marks the correspondences that exist. Shifts are returned within half a turn of
+    the agreed one.
     """
     half = bins // 2
     apart = np.abs((shift[:, :, np.newaxis] - shift[:, np.newaxis, :] + half) % bins - half)
@@ -216,7 +216,7 @@ def _agreeing_shifts(shift: IntArray, known: BoolArray, bins: int) -> tuple[IntA
 def _corresponding_points(
     curve: PhotoCurve, stored: StoredCurves, shift: IntArray
 ) -> tuple[Float64Array, Float64Array]:
-    """Return the points in px that correspond: a photo's, and each location's.
+    """Return the corresponding points, px, of a photo and each location.
 
     A correspondence of keypoints gives three points: the keypoint, and a point of the local skyline
     to either side of it. The photo has (3 Q, 2), and the locations (C, 3 Q, 2), where y is NaN if
@@ -258,9 +258,9 @@ def _pose(
 ) -> Float64Array:
     """Return the fits (4, C) that follow from maps.
 
-    A map shows where the axis goes and how it turns. It is looked at above or below the axis, at
+    A map shows where the axis goes and how it turns. It is evaluated above or below the axis, at
     the skyline's mean height: the points from which the map was made lie there, and its shear is
-    too poorly known to leave them.
+    too poorly known elsewhere.
     """
     affine = np.where(np.isfinite(cost)[:, np.newaxis, np.newaxis], affine, 0.0)
     mean_y_px = np.average(curve.points_px[:, 1], weights=curve.weight)

@@ -42,8 +42,8 @@ Render = Callable[[Viewpoints, UInt8Array], Views]
 class PlanConfig:
     """Settings of a plan.
 
-    Raises `InputError` for a planner that is not known, a coverage outside (0, 1], a threshold or
-    a spacing that is not positive, and spacings that do not fit each other.
+    Raises `InputError` for an unknown planner, a coverage outside (0, 1], a threshold or a spacing
+    that is not positive, and spacings that do not fit each other.
     """
 
     strategy: str = "lpov"
@@ -72,7 +72,7 @@ class PlanConfig:
                 raise InputError(f"{name} is {value}{unit}; expected a number above 0{limit}")
         if abs(self.coarse_m / self.site_spacing_m - self.stride) > 1e-9 * self.stride:
             raise InputError(
-                f"coarse spacing is {self.coarse_m} m, no whole multiple of the site spacing of "
+                f"coarse spacing is {self.coarse_m} m, not a whole multiple of the site spacing of "
                 f"{self.site_spacing_m} m; choose one that is, for example "
                 f"{self.stride * self.site_spacing_m} m"
             )
@@ -83,7 +83,7 @@ class PlanConfig:
         return max(1, round(self.coarse_m / self.site_spacing_m))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the settings as the header of a store has them."""
+        """Return the settings for the header of a store."""
         # The header's name for the spacing of sites is older than the name here.
         names = {"site_spacing_m": "candidate_m"}
         return {names.get(name, name): value for name, value in asdict(self).items()}
@@ -114,7 +114,7 @@ class CoveragePlan:
 
     @property
     def overlap(self) -> int:
-        """Inclusions in tolerance areas less covered sites, over all headings."""
+        """Inclusions in tolerance areas minus covered sites, over all headings."""
         return sum(one.overlap for one in self.coverages)
 
     def viewpoints(self, chosen: Int64Array) -> Viewpoints:
@@ -187,7 +187,7 @@ class _Heading:
             self._planned.append((problem, planner(problem, generator)))
 
     def requests(self) -> Int64Array:
-        """Return the sites that planners choose next, none once all is covered."""
+        """Return the sites that planners choose next; none at the end."""
         asked = [np.zeros(0, dtype=np.int64)]
         if self.coverage.fraction() < self._config.coverage:
             for problem, chosen in self._planned:

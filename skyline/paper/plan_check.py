@@ -27,8 +27,8 @@ class _WarpFit:
     """Limits and steps of the fit of a warp between skylines."""
 
     max_change: float = 0.25
-    """Greatest change of each entry of the warp's linear part from the identity: with any warp
-    allowed all skylines are alike."""
+    """Greatest change of each entry of the warp's linear part from the identity: if any warp were
+    allowed, all skylines would be alike."""
     min_share: float = 0.5
     """Least share of the columns that must land on known columns of the other curve."""
     outlier_px: float = 3.0
@@ -64,10 +64,7 @@ _FIT = _WarpFit()
 
 @dataclass(frozen=True, slots=True)
 class Verification:
-    """The share of a plan's coverage that renderings confirm.
-
-    A sample of locations is rendered.
-    """
+    """The share of a plan's coverage that a rendered sample confirms."""
 
     share: float
     """Share of the sample in which the rendering comes within the threshold of some stored view,
@@ -137,10 +134,10 @@ def _covering(coverage: Coverage, location: int) -> Int64Array:
 def true_errors_px(stored: Views, rendered: Views) -> Float32Array:
     """Return distances (N,) of warped stored skylines from rendered ones.
 
-    They are means, in px. The N views of either kind have one width, and row by row one heading.
-    The warp is the best affine one whose linear part differs from the identity by at most 0.25 in
-    each entry. The distance is vertical, over the columns that land in frame; it is infinite where
-    these are fewer than half of them.
+    They are means, in px. The N views of both kinds have one width, and each pair one heading. The
+    warp is the best affine one whose linear part differs from the identity by at most 0.25 in each
+    entry. The distance is vertical, over the columns that land in frame; it is infinite where these
+    are fewer than half of them.
     """
     errors = np.empty(len(stored), dtype=np.float32)
     for begin in range(0, len(stored), _FIT.at_once):
@@ -223,7 +220,7 @@ class _State(Rows):
     error: Float64Array
     """(B,) float64. Mean distance of the columns, a tangent."""
     miss: Float64Array
-    """(B, Q) float64. Each column's ordinate less the target's; 0 where not usable."""
+    """(B, Q) float64. Each column's ordinate minus the target's; 0 where not usable."""
     slope: Float64Array
     """(B, Q) float64. Slope of the target where the column lands; 0 where not usable."""
     usable: BoolArray
@@ -270,8 +267,8 @@ class _Pair:
     def step(self, state: _State, damping: Float64Array) -> Float64Array:
         """Return the warps (B, 6) after a damped Gauss-Newton step, within bounds.
 
-        The slope is the mean of the two curves', as in efficient second-order minimization: it
-        needs a third of the rounds that the other curve's alone does.
+        The slope is the mean of both curves' slopes, as in efficient second-order minimization:
+        this needs a third of the rounds that the slope of the other curve needs.
         """
         a, b, _, d, e, _ = state.affine.T[:, :, np.newaxis]
         stretch = np.maximum(a + b * self.slope, _FIT.steepest)

@@ -102,7 +102,7 @@ class Coverage:
     def fraction(self, region: BoolArray | None = None) -> float:
         """Return the covered share of the valid sites.
 
-        With a region, its sites alone count.
+        With a region, only its sites count.
         """
         valid = self.sites.valid if region is None else self.sites.valid & region
         left = int((self.uncovered & valid).sum())
@@ -127,8 +127,8 @@ class Problem:
     target: float
     """Share of the region's valid sites to cover, in (0, 1]."""
     projected_areas: Callable[[Int64Array], BoolArray]
-    """Returns the tolerance areas (N, K, K) of views at sites (N) that are not rendered: skyline
-    points of rendered views are projected there. Only ROV calls it."""
+    """Returns the tolerance areas (N, K, K) of unrendered views at sites (N), to which skyline
+    points of rendered views are projected. Only ROV calls it."""
 
     @property
     def is_covered(self) -> bool:
@@ -141,10 +141,10 @@ class Problem:
 
 
 class Planner(Protocol):
-    """Chooses viewpoints of a region, one after another.
+    """Chooses viewpoints of a region until it is covered.
 
-    It goes on until the region is covered. A package offers a planner as an entry point of the
-    group `PLANNERS`. ``skyline render --planner`` then takes its name.
+    A package offers a planner as an entry point of the group `PLANNERS`. ``skyline render
+    --planner`` then takes its name.
     """
 
     def __call__(self, problem: Problem, generator: np.random.Generator) -> Iterator[Int64Array]:
@@ -306,7 +306,7 @@ def _preselected(
 
 
 def interpolated_areas(coverage: Coverage, sites: Int64Array) -> BoolArray:
-    """Return tolerance areas (N, K, K) of sites (N), interpolated between views.
+    """Return tolerance areas (N, K, K), interpolated between views.
 
     The four nearest rendered views count, each with a weight that falls with its distance. A site
     is inside if the areas of views with at least half of the weight contain it. Before anything is

@@ -28,7 +28,8 @@ Warp = Callable[[Float64Array, Float64Array], Float64Array]
 there is none."""
 
 _SAFE_DEPTH_SHARE = 0.05
-"""A point or a skyline at depth z keeps more than this share of z; nearer, a warp is unstable."""
+"""A point or a skyline at depth z must keep more than this share of z: any nearer, a warp is
+unstable."""
 
 _ROTATIONS = np.stack([rotation(heading) for heading in HEADINGS])
 
@@ -211,10 +212,10 @@ def tolerance_errors_px(
 
     The views are warped by Equation 4 at the mean depth.
 
-    The tolerance area is where these are within a threshold. Row 0 is the northernmost and column 0
-    the westernmost, whatever the heading; the view is at [K // 2, K // 2], where the error is 0. It
-    is infinite off the map, on holes and where `errors_px` is. Locations are ``spacing_m`` apart,
-    and K, ``size``, is 10 in the paper.
+    The tolerance area is where the errors are within a threshold. Row 0 is the northernmost and
+    column 0 the westernmost, whatever the heading; the view is at [K // 2, K // 2], where the error
+    is 0. It is infinite off the map, on holes and where `errors_px` is. Locations are ``spacing_m``
+    apart, and K, ``size``, is 10 in the paper.
     """
     steps = (np.arange(size) - size // 2) * spacing_m
     easting = eyes.easting_m[:, np.newaxis] + np.tile(steps, size)

@@ -14,16 +14,16 @@ class _Bars:
     """Limits within which rows and columns are a border or a caption bar."""
 
     least_content_px: int = 32
-    """Smallest width and height in which a skyline is looked for."""
+    """Smallest width and height in which a skyline is searched."""
     most_aspect: float = 30.0
-    """Longest side over shortest; a low panorama of a full turn has about 12."""
+    """Greatest ratio of the sides; a low panorama of a full turn has about 12."""
     colour_tolerance: int = 10
     """Greatest difference per channel within a uniform border; JPEG rings by a few levels."""
     same_share: float = 0.6
     """Share of a row that must have the bar's colour; the rest may be its caption."""
     edge_share: float = 0.9
     """Share of the first row of content, without the borders at its ends, that must differ from the
-    bar: bars end in a straight line."""
+    bar, since bars end in a straight line."""
     blur_px: int = 3
     """Rows beyond a bar that resizing and JPEG mix with it."""
     longest_share: float = 0.3
@@ -85,7 +85,7 @@ class Content:
 def content_of(image: UInt8Array) -> Content:
     """Find the photo inside uniform borders and caption bars.
 
-    A bar is a run of rows (or columns) from the image's edge, mostly of one colour, that ends
+    A bar is  a run of rows (or columns) from the image's edge, mostly of one colour, that ends
     in a straight line: the next row differs from that colour nearly everywhere. Overcast sky
     and dark ground are uniform too, but they end in a skyline. Raises `InputError` if less than
     32 x 32 pixels of the image (H, W, 3) uint8 remain, or if it is a sliver.
@@ -127,8 +127,8 @@ def _bar_length(image: UInt8Array) -> int:
 def _is_content(row: UInt8Array, colour: Float64Array) -> bool:
     """Return whether a row (N, 3) shows more than a bar.
 
-    It does if it differs from the bar's colour nearly everywhere. Borders of that colour at the
-    row's ends are ignored, as long as most of the row remains.
+    It does if nearly all of it differs from the bar's colour. Borders of that colour at the row's
+    ends are ignored, as long as most of the row remains.
     """
     differs = np.flatnonzero(~_alike(row, colour))
     if differs.size < _BARS.same_share * len(row):

@@ -1,11 +1,11 @@
 """From a photo to its skyline: the likeliest path through the columns.
 
 A skyline is one border row per column. A network gives the odds of the border in every pixel. A
-path is cheap where the network expects the skyline and where there is an edge, and if it is not
-steep; dynamic programming finds the cheapest path exactly, in a picture reduced to about 0.4
-million pixels (up to 1 million for a panorama). The path is then refined to sub-pixel in a narrow
-band of the full photo. A column is trusted if the network gives a high probability that the skyline
-runs along the path.
+path is cheap if it runs where the network expects the skyline and along an edge, and is not steep;
+dynamic programming finds the cheapest path exactly, in a picture reduced to about 0.4 million
+pixels (up to 1 million for a panorama). The path is then refined to sub-pixel in a narrow band of
+the full photo. A column is trusted if the network gives a high probability that the skyline runs
+along the path.
 
 A person corrects the skyline by strokes of a brush. A stroke marks pixels as sky or as ground; the
 skyline is then the cheapest path that respects the marks. A drawn line is the skyline itself.
@@ -39,7 +39,7 @@ class _Search:
     forbidden_cost: float = 1e3
     """Cost of a pixel that the skyline must not cross."""
     least_log_share: float = -10.0
-    """Floor of the log-probability: without it the network would decide alone in scenes that are
+    """Floor of the log-probability: without it, the network alone would decide in scenes that are
     unknown to it."""
     edge_reach_share: float = 0.02
     """Neighbourhood up and down, as a share of all rows, whose sharpest edge counts fully."""
@@ -58,8 +58,8 @@ class _Trust:
     """Which columns are trusted, and what else may be their skyline."""
 
     least: float = 0.7
-    """Columns of lower trust are masked; `skyline-bench sky-masks` measures how many are, and how
-    many of the others are right."""
+    """Columns of lower trust are masked; `skyline-bench sky-masks` measures how many these are, and
+    how many of the others are right."""
     least_share: float = 0.1
     """A photo with a smaller share of trusted columns has no skyline."""
     smoothed_px: int = 9
@@ -67,9 +67,9 @@ class _Trust:
     same_share: float = 0.01
     """Two rows nearer than this share of all rows count as the same skyline."""
     crests: int = 3
-    """Crests of a column that may be its skyline."""
+    """Most crests of a column that may be its skyline."""
     least_probability: float = 0.1
-    """A row of lower probability is no crest."""
+    """A row of lower probability is not a crest."""
     apart_share: float = 0.03
     """Least distance between two crests, as a share of all rows."""
 
@@ -81,7 +81,7 @@ _REFINED_STEPS = Steps(reach=2, row_price=0.05, jump_price=1.0)
 """The steps of the path along the edge in the full photo."""
 _TRUST = _Trust()
 _BESIDE_PX = 64
-"""Columns beside changed ones, on each side, that are refined again with them."""
+"""Columns on each side of changed ones that are refined again with them."""
 
 
 def extract_skyline(image: UInt8Array) -> PhotoSkyline:
@@ -127,13 +127,13 @@ class Correction:
     def solve(
         self, strokes: Sequence[Stroke] = (), start: PhotoSkyline | None = None
     ) -> PhotoSkyline:
-        """Return the skyline under all given strokes; later strokes override earlier ones.
+        """Return the skyline under the given strokes; later ones override earlier ones.
 
         ``start`` is the skyline to which the strokes are applied, for example a trace. By default
         it is extracted from the photo, or is the border of a sky mask. The result may have no
         trusted column. Its field of view and projection are the photo's.
 
-        Raises `InputError` if ``start`` is of an image of another size.
+        Raises `InputError` if ``start`` belongs to an image of another size.
         """
         given = self._mask if start is None else start
         content = self._extraction.content
@@ -204,8 +204,8 @@ class _Extraction:
     photo : (H, W, 3) uint8
         The pixels of that part.
     share : (h, w) float32
-        At working size, the probability that the column's skyline runs through the pixel. The sum
-        over a column is the probability that it shows a skyline at all.
+        At working size, the probability that the column's skyline runs through the pixel. Its sum
+        over a column is the probability that the column shows a skyline at all.
     cost : (h, w) float32
         Cost of a path through the pixel: a full edge is worth a factor e in probability.
     path : (w,) intp
@@ -261,7 +261,7 @@ class _Extraction:
         return refined, np.interp(at_work, whole, smooth)
 
     def skyline(self, row_px: Float64Array, trust: Float64Array) -> PhotoSkyline:
-        """Return the image's skyline, without columns of too low a trust."""
+        """Return the image's skyline, without columns whose trust is too low."""
         trusted_px = np.where(trust >= _TRUST.least, row_px, np.nan)
         return self.content.skyline(trusted_px, trust, self._crests)
 
@@ -275,10 +275,7 @@ def _at_working_size(photo: UInt8Array) -> UInt8Array:
 
 
 def _skyline_share(small: UInt8Array) -> Float32Array:
-    """Return the probability (h, w) of the skyline in each pixel.
-
-    It is the probability that the column's skyline runs through the pixel.
-    """
+    """Return the probability (h, w) that the skyline runs through each pixel."""
     height, width = small.shape[:2]
     odds = network_odds(small)
     # Odds of no skyline, relative to a row of the enlarged picture.
@@ -298,7 +295,7 @@ def _lab_of(rgb: UInt8Array) -> Float32Array:
 def _edges(lab: Float32Array) -> Float32Array:
     """Return edges (h, w): 0 where smooth, 1 on the sharpest edges.
 
-    An edge is sharp if none up or down from it is much sharper.
+    An edge is sharp if none above or below it is much sharper.
     """
     across = cv2.Sobel(lab, cv2.CV_32F, 1, 0, ksize=3, scale=0.25)
     down = cv2.Sobel(lab, cv2.CV_32F, 0, 1, ksize=3, scale=0.25)
@@ -350,9 +347,9 @@ def _near_rows(height: int) -> int:
 def _refined(photo: UInt8Array, row: Float64Array, scale: float) -> Float64Array:
     """Return the rows of the steepest change near a path, to sub-pixel.
 
-    Within a band around the path a second cheapest path follows the greatest difference between
-    the two pixels above and the two below a border; a parabola through the three differences
-    around it gives the fraction.
+    Within a band around the path, a second cheapest path follows the greatest difference between
+    the two pixels above and the two below a border; a parabola through the three differences around
+    the border gives the fraction.
     """
     height, width = photo.shape[:2]
     reach = max(3, ceil(_SEARCH.refined_reach / scale))

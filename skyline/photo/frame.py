@@ -24,7 +24,7 @@ class _Shapes:
     of_cameras: tuple[float, ...] = (1.0, 4 / 3, 3 / 2, 16 / 9)
     """The frames that cameras take."""
     of_screens: tuple[float, ...] = (2.0, 37 / 18, 19 / 9, 13 / 6, 20 / 9)
-    """The screens that phones take photos for."""
+    """The screens for which phones take photos."""
     usual: float = 4 / 3
     """The frame of a camera whose sensor is not known."""
     tolerance: float = 0.02
@@ -33,14 +33,14 @@ class _Shapes:
 
 @dataclass(frozen=True, slots=True)
 class Crop:
-    """The field of view of a crop, over the greatest possible.
+    """The field of view of a crop, over the greatest possible one.
 
-    It is taken to be distributed evenly from a half to 1.
+    It is assumed to be distributed evenly from a half to 1.
     """
 
     mean: float = 0.75
     sd: float = 0.5 / sqrt(12.0)
-    """Standard deviation of an even distribution that is one half wide."""
+    """Standard deviation of an even distribution with a width of a half."""
     most: float = 1.05
     """Greatest share that is searched."""
 
@@ -82,10 +82,7 @@ def frames_of(
 
 
 def cropped_width(size_px: tuple[int, int], frame: Size) -> float:
-    """Return the width of the largest part with a file's shape.
-
-    It is in the frame's pixels.
-    """
+    """Return the width, in the frame's pixels, of a file-shaped part."""
     if is_unscaled(size_px, frame):
         return float(size_px[0])
     return size_px[0] * min(frame[0] / size_px[0], frame[1] / size_px[1])

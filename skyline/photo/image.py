@@ -1,6 +1,6 @@
-"""Image files: which are photos, and how one is decoded.
+"""Image files: finding photos, and decoding them.
 
-Pillow decodes, not OpenCV: it returns EXIF along with the pixels, refuses a truncated JPEG
+Pillow decodes them, not OpenCV: it returns EXIF along with the pixels, refuses a truncated JPEG
 (OpenCV fills the rest with grey, which has a skyline), reports through exceptions rather than on
 stderr, and shrinks huge JPEGs while decoding them.
 """
@@ -47,7 +47,7 @@ EXPECTED = "expected a photo, a sky mask or a trace"
 _FORMATS = (
     "JPEG", "MPO", "PNG", "TIFF", "WEBP", "BMP", "GIF", "PPM", "JPEG2000", "AVIF", "HEIF",
 )  # fmt: skip
-"""Formats that Pillow may decode; others run programs, or are no pictures."""
+"""Formats that Pillow may decode; others run programs, or are not pictures."""
 _PHOTO_SUFFIXES = (
     ".jpg", ".jpeg", ".jpe", ".jfif", ".mpo", ".png", ".tif", ".tiff", ".webp", ".heic", ".heif",
     ".avif", ".jp2", ".bmp",
@@ -59,7 +59,7 @@ _GEO_KEYS = 34735
 _HEIF_BRANDS = {b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1"}
 
 _pillow_limit = Lock()
-"""Held while Pillow's own limit of size, which all threads share, is lifted."""
+"""Held while Pillow's own size limit, which all threads share, is lifted."""
 
 
 def name_of(picture: Picture) -> str:
@@ -71,8 +71,8 @@ def photos_in(folder: Path, is_skipped: Callable[[Path], bool] = lambda _: False
     """Return the pictures in a folder and in the folders in it.
 
     Pillow says which files are pictures, whatever they are called. A warning names the other files.
-    Raw files are left out, and folders that ``is_skipped`` names. Raises `InputError` where there
-    is no picture.
+    Raw files are left out, and so are folders for which
+    ``is_skipped`` returns True. Raises `InputError` if there is no picture.
     """
     photos: list[Path] = []
     others: list[str] = []
@@ -119,8 +119,8 @@ def opened_image(picture: Picture) -> Iterator[Image.Image]:
 
     An error of decoding in the block becomes an `InputError`.
 
-    Raises `MissingFileError` where there is no such file, and `InputError` where it is no image, or
-    an array is not (H, W), (H, W, 3) or (H, W, 4) uint8.
+    Raises `MissingFileError` if there is no such file, and `InputError` if it is not an image, or
+    if an array is not (H, W), (H, W, 3) or (H, W, 4) uint8.
     """
     if isinstance(picture, Image.Image):
         with _decoded("the image"):
@@ -166,7 +166,7 @@ def _opened_file(path: Path) -> Iterator[Image.Image]:
 
 
 def _why_unidentified(path: Path) -> str:
-    """Return why a file is no image, and what to do."""
+    """Return why a file is not an image, and what to do."""
     if is_store(path):
         return f"a store; {EXPECTED}"
     if str(path) != STANDARD and _is_heif(path):
@@ -194,7 +194,7 @@ def _decoded(name: str) -> Iterator[None]:
 
 @contextmanager
 def _unlimited_size() -> Iterator[None]:
-    """Lift Pillow's limit, which refuses pictures that `shrink_if_large` shrinks."""
+    """Lift Pillow's size limit, so that `shrink_if_large` can shrink pictures."""
     with _pillow_limit:
         before = Image.MAX_IMAGE_PIXELS
         Image.MAX_IMAGE_PIXELS = None
@@ -205,7 +205,7 @@ def _unlimited_size() -> Iterator[None]:
 
 
 def shrink_if_large(name: str, image: Image.Image, limits: SizeLimits = LIMITS) -> None:
-    """Let a large JPEG be decoded smaller, and refuse other large images.
+    """Decode a large JPEG smaller, and refuse other large images.
 
     A raw file is a TIFF whose first picture is a preview, with 1 as its NewSubfileType. Raises
     `InputError`.

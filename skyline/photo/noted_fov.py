@@ -5,12 +5,12 @@ focal length with the resolution of the focal plane, and the focal length with t
 whose sensor is in lensfun's database (https://lensfun.github.io). Each is wrong in whole series of
 cameras or in edited files, so one alone is a hint, and only two that agree are a measurement.
 
-A digital zoom enlarges the middle of the frame. Apple's phones count it into the equivalent
+A digital zoom enlarges the middle of the frame. Apple's phones include it in the equivalent
 (Hugin's bug 2064625). Other phones (the same bug) and Olympus (Focus-Points' issue 253) do not. So
 a value has two readings, and where no other source says which one is right, both are possible.
 
-A crop mode reads the middle of the sensor. Nikon counts it into the equivalent (Focus-Points' issue
-252), Canon into the focal plane alone. So a photo shows the whole sensor of its camera at most.
+A crop mode reads the middle of the sensor. Nikon includes it in the equivalent (Focus-Points' issue
+252), Canon only in the focal plane. So a photo shows at most the whole sensor of its camera.
 
 All three describe the frame whose size the camera noted (`skyline.photo.frame`); a panorama notes
 its own frame in XMP (`skyline.photo.panorama`).
@@ -37,12 +37,13 @@ MAX_PINHOLE_ASPECT = 2.5
 NOMINAL_SD = 0.025
 """Standard deviation of the logarithm of a focal length that a maker states.
 
-The nominal one is rounded, a focus on infinity is meant, and a correction of distortion enlarges
-the photo by 2 or 3 %."""
+The nominal value is rounded and holds at infinity, and a correction of distortion enlarges the
+photo by 2 or 3 %."""
 _ROUNDED_MM = 1.0 / sqrt(12.0)
 """Standard deviation of a 35 mm equivalent, which is rounded to a whole millimetre."""
 _COVERED_SD = 0.1
-"""Least standard deviation of the logarithm of a focal length that covers several that differ."""
+"""Least standard deviation of the logarithm of a focal length that covers several different
+ones."""
 _MM_PER_UNIT = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
 """FocalPlaneResolutionUnit: inch (also if absent), centimetre, millimetre, micrometre."""
 
@@ -56,14 +57,15 @@ class _Focal:
     sensor_mm: tuple[float, float] = (2.0, 80.0)
     """Diagonals of sensors, from phones to medium format."""
     agree_log: float = log(1.1)
-    """Largest difference of the logarithms of two focal lengths that agree: one is rounded."""
+    """Largest difference of the logarithms of two focal lengths that agree: one of them is
+    rounded."""
     plane_sd: float = 0.5 * log(1.5)
     """Standard deviation of the logarithm of a focal length from the focal plane: wrong values are
     off by the step between two sensor formats, 1.5 (Exiv2's issue 3097)."""
     most_zoom: float = 100.0
     """The greatest digital zoom of phones."""
     exposure: timedelta = timedelta(minutes=1)
-    """A camera may note the end of an exposure as the time of change."""
+    """Longest exposure: a camera may note its end as the time of change."""
     narrowest: float = 1.8
     """Largest ratio of the likeliest field of view to the narrowest reading: a search reaches down
     to half the likeliest."""
@@ -82,15 +84,15 @@ class CropShares:
     """
 
     as_written: float = 0.05
-    """Of files of the noted size, unedited and with as many pixels as cameras have."""
+    """For files of the noted size, unedited and with as many pixels as cameras have."""
     resized: float = 0.2
-    """Of files that a program wrote anew."""
+    """For files that a program has written again."""
     edited: float = 0.3
-    """Of files that an editor names as its own, or that were changed later."""
+    """For files that name an editor as their program, or that were changed later."""
     left: tuple[float, float] = (0.5, 1.0)
-    """Shares of the width that crops leave, evenly."""
+    """Range of the share of the width that a crop leaves; evenly distributed."""
     agreeing: float = 0.25
-    """Factor where two sources agree: what a camera crops would be in one of them alone."""
+    """Factor if two sources agree: a camera's crop would be in only one of them."""
 
 
 _FOCAL = _Focal()
@@ -108,9 +110,9 @@ class _FocalLength:
     """A focal length, and how well it is known."""
 
     source: str
-    """What notes it, in words."""
+    """Where it is noted, in words."""
     diagonals: float
-    """The focal length over the diagonal of the frame."""
+    """The focal length divided by the diagonal of the frame."""
     sd: float | None = NOMINAL_SD
     """Standard deviation of its logarithm; None if two sources agree."""
     readings: tuple[float, ...] = ()
@@ -121,12 +123,12 @@ class _FocalLength:
         return abs(self.longer_by(other))
 
     def longer_by(self, other: "_FocalLength") -> float:
-        """Return the logarithm of this focal length over another."""
+        """Return the logarithm of this focal length divided by another."""
         return log(self.diagonals / other.diagonals)
 
 
 _Source = tuple[_FocalLength, ...]
-"""The readings of a source: two where a digital zoom may be counted in it or not."""
+"""The readings of a source: two if it may include a digital zoom or not."""
 
 
 def _fov_deg(width: float, diagonals: float) -> float:
@@ -203,7 +205,7 @@ def _on_sensor(tags: Tags, frame: Size, sensor: Sensor | None) -> _FocalLength |
 def _digital_zoom(tags: Tags) -> float:
     """Return how many times a digital zoom enlarged the frame.
 
-    It is 1 without a zoom. EXIF's 0 stands for none, too, and impossible values count as none.
+    It is 1 without a zoom. EXIF's 0 also stands for none, and impossible values count as none.
     """
     zoom = positive(tags.get(Base.DigitalZoomRatio)) or 1.0
     return zoom if 1.0 < zoom <= _FOCAL.most_zoom else 1.0
@@ -251,10 +253,10 @@ def _focal_lengths(
 
 
 def _readings(noted: _FocalLength, zoom: float, focal_mm: float | None) -> _Source:
-    """Return what a value may mean beside a digital zoom.
+    """Return what a value may mean if there is a digital zoom.
 
-    The zoom may be counted in it or not. A reading counts if a lens could have its focal length
-    without the zoom.
+    It may include the zoom or not. A reading counts if a lens could have its focal length without
+    the zoom.
     """
     lenses = dict.fromkeys((noted.diagonals / zoom, noted.diagonals))
     possible = [diagonals for diagonals in lenses if _is_lens(diagonals, focal_mm)]
@@ -276,7 +278,7 @@ def _is_crop(
     noted: Size,
     tags: Tags,
 ) -> bool:
-    """Return whether a focal plane may be a crop mode's.
+    """Return whether a focal plane may come from a crop mode.
 
     A crop mode reads the middle of the sensor. A program that reduces a photo and notes its new
     size leaves a small focal plane, too, but few pixels, or a later time of change.
@@ -295,9 +297,9 @@ def _was_edited(tags: Tags) -> bool:
 def _crop_share(
     tags: Tags, size_px: tuple[int, int], noted: Size | None, focal: _FocalLength
 ) -> float:
-    """Return the probability that a whole frame was cropped all the same.
+    """Return the probability that an apparently whole frame was cropped.
 
-    A deviation of several readings covers crops.
+    The standard deviation of several readings covers crops already.
     """
     if focal.sd is not None and focal.sd >= _COVERED_SD:
         return 0.0
@@ -377,7 +379,7 @@ def _without_agreement(sources: Sequence[_Source], known: _FocalLength | None) -
 
 
 def _covering(source: str, diagonals: Sequence[float], least_sd: float) -> _FocalLength:
-    """Return the middle of focal lengths, with a deviation that covers them."""
+    """Return the middle of focal lengths; its standard deviation covers them."""
     short = min(diagonals)
     long = max(diagonals)
     sd = max(0.5 * log(long / short), least_sd)
@@ -385,7 +387,7 @@ def _covering(source: str, diagonals: Sequence[float], least_sd: float) -> _Foca
 
 
 def _is_lens(diagonals: float, focal_mm: float | None) -> bool:
-    """Return whether a lens can have a focal length, in frame diagonals."""
+    """Return whether a lens can have a focal length (frame diagonals)."""
     if 2.0 * degrees(atan(0.5 / diagonals)) > _FOCAL.widest_deg:
         return False
     return focal_mm is None or _FOCAL.sensor_mm[0] <= focal_mm / diagonals <= _FOCAL.sensor_mm[1]

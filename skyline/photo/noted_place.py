@@ -1,7 +1,7 @@
 """The place and heading that a photo notes in EXIF and XMP.
 
-Tags are read as the standard defines them (EXIF 2.32, 4.6.6, and 3.0). If a tag that decides the
-meaning of a number is missing, the number is left aside, with a sentence that gives the reason.
+Tags are read as the standard defines them (EXIF 2.32, 4.6.6, and 3.0). If the tag that gives a
+number its meaning is missing, the number is left aside, with a sentence that gives the reason.
 """
 
 import re
@@ -19,7 +19,8 @@ from skyline.photo.tags import Tags, leading_number, number_of, positive, text_o
 from skyline.photo.xmp import NO_XMP, Xmp
 
 _ERROR_PER_DOP_M = 5.0
-"""Error of the ranges that a receiver measures; the satellites' geometry (DOP) multiplies it."""
+"""Error of the ranges that a receiver measures; the geometry of the satellites (DOP) multiplies
+it."""
 _MOST_ERROR_M = 10_000.0
 """A position with a greater error names a region: no place is searched for that far away."""
 _ABOVE_TAKEOFF = ("RelativeAltitude", "AboveGroundAltitude")
@@ -27,9 +28,9 @@ _ABOVE_TAKEOFF = ("RelativeAltitude", "AboveGroundAltitude")
 namespace of its own, Parrot and senseFly the second in Pix4D's (OpenAthena and TinyEXIF read
 them)."""
 _MOST_TAKEOFF_M = 10_000.0
-"""Greatest height above the take-off that is believed: no drone flies higher."""
+"""Greatest plausible height above the take-off: no drone flies higher."""
 _DATUM_NAME = re.compile(r"[\w -]{1,30}")
-"""What PROJ is asked about: names, and no definitions."""
+"""Texts that PROJ may be asked about: names, not definitions."""
 
 T = TypeVar("T")
 
@@ -49,11 +50,11 @@ class NotedPlace:
     heading_deg : float, optional
         Heading of the optical axis, clockwise from north, in [0, 360).
     is_magnetic : bool or None
-        Whether the heading counts from magnetic north; None if the photo does not note it.
+        Whether the heading counts from magnetic north; None if the photo does not say.
     accuracy_m : float, optional
         The camera's own estimate of the error of its position.
     left_aside : str
-        Sentences on GPS tags that cannot be used and the reason, without the position itself.
+        Sentences on unusable GPS tags and the reasons, without the position itself.
     takeoff_height_m : float, optional
         Height above the place where a drone took off, by its barometer.
     """
@@ -117,7 +118,7 @@ def place_from_exif(gps: Tags, xmp: Xmp = NO_XMP) -> NotedPlace:
 def _takeoff_height_m(xmp: Xmp) -> float | None:
     """Return the height above the take-off in XMP.
 
-    It is None if XMP notes none, or an impossible one.
+    Returns None if XMP notes none, or an impossible one.
     """
     height_m = leading_number(xmp.first(*_ABOVE_TAKEOFF) or "")
     is_possible = height_m is not None and abs(height_m) <= _MOST_TAKEOFF_M

@@ -14,11 +14,11 @@ from skyline.photo.xmp import Xmp
 GPANO = "http://ns.google.com/photos/1.0/panorama"
 """Namespace of the properties of panoramas (GPano, https://developers.google.com/streetview)."""
 _NAMES_PANORAMA = re.compile("GPano|photos/1.0/panorama")
-"""A packet that notes a panorama contains this text."""
+"""Text that every packet that notes a panorama contains."""
 _OF_A_LENS = {"rectilinear", Projection.PERSPECTIVE}
-"""Names of the projection of photos through a lens."""
+"""The names that XMP has for the projection of photos through a lens."""
 _WIDEST_PX = 1e8
-"""The widest full turn of a panorama that is believed."""
+"""The widest full turn of a panorama that is plausible."""
 _SWEPT = 6.0
 """Value of CustomRendered that Apple's phones note for a panorama."""
 _SWEPT_HEIGHT = 0.83
@@ -30,14 +30,14 @@ _SWEPT_SD = 0.12
 def panorama_of_xmp(xmp: Xmp, size_px: tuple[int, int]) -> tuple[Projection, Lens] | None:
     """Return the projection and field of view of a panorama in XMP.
 
-    It is None if XMP notes no panorama. ``size_px`` is the width and the height of the file's
+    Returns None if XMP notes no panorama. ``size_px`` is the width and the height of the file's
     pixels, upright. XMP notes the size of the panorama when it was made and the width of a full
     turn. A file of that shape shows the whole panorama. A file with all its rows or all its columns
     was cropped to its own size. Any other file shows at least its pixels at the panorama's scale,
     and at most the largest part of its shape.
     """
     if _NAMES_PANORAMA.search(xmp.broken):
-        reason = "XMP speaks of a panorama, and is damaged: its projection is not known"
+        reason = "XMP mentions a panorama, but is damaged: its projection is not known"
         return Projection.PERSPECTIVE, Lens(reason=reason)
     tags = xmp.of(GPANO)
     width, turn, height = (
@@ -92,7 +92,7 @@ def _panorama_lens(
 def swept_lens_of(tags: Tags, size_px: tuple[int, int]) -> Lens | None:
     """Return the field of view of a panorama that a phone swept.
 
-    It is None if EXIF notes no such panorama. ``size_px`` is the panorama's width and height,
+    Returns None if EXIF notes no such panorama. ``size_px`` is the panorama's width and height,
     upright. A panorama has the scale of the camera held upright, but phones keep more or less of
     the height.
     """

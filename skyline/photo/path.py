@@ -9,12 +9,12 @@ from skyline.arrays import Float32Array, IntArray
 
 @dataclass(frozen=True, slots=True)
 class Steps:
-    """Prices of a path's steps from one column to the next.
+    """The prices of a path's steps from one column to the next.
 
     Attributes
     ----------
     reach : int
-        Rows by which a step may go up or down at the price of its rows.
+        Rows by which a step may go up or down, each at `row_price`.
     row_price : float
         Price of each row of such a step.
     jump_price : float
@@ -29,7 +29,7 @@ class Steps:
 def cheapest_path(cost: Float32Array, steps: Steps) -> IntArray:
     """Return the cheapest path's row (W,) in each column.
 
-    Rows are intp, and costs (H, W) float32.
+    Rows are intp; costs are (H, W) float32.
     """
     n_rows, n_columns = cost.shape
     offsets = np.arange(-steps.reach, steps.reach + 1)

@@ -1,12 +1,13 @@
-"""A photo as read: its pixels, and its file's notes."""
+"""A photo as read: its pixels, and what its file notes."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from datetime import datetime
 
 import numpy as np
 from PIL import Image, ImageOps
-from PIL.ExifTags import IFD
+from PIL.ExifTags import IFD, Base
 
 from skyline.arrays import ShortRepr, UInt8Array, refuse_text
 from skyline.camera import Projection
@@ -15,12 +16,13 @@ from skyline.photo.image import Picture, name_of, opened_image, rgb_of, shrink_i
 from skyline.photo.noted_fov import camera_of
 from skyline.photo.noted_place import NOTHING_NOTED, NotedPlace, place_from_exif
 from skyline.photo.skyline import Lens, PhotoSkyline
+from skyline.photo.tags import time_of
 from skyline.photo.xmp import xmp_of
 from skyline.tables import is_table
 
 _SHADES_PX = 800
-"""Longer side of a photo's shades: a pixel of 0.07 degrees is 10 m at 8 km, about the error of the
-heights of ridges there."""
+"""Longer side of a photo's shades: a pixel of 0.07 degrees is 10 m at 8 km, about the height error
+of ridges there."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -52,7 +54,7 @@ class Photo(ShortRepr):
 
     @property
     def blank(self) -> PhotoSkyline:
-        """The photo without a skyline, enough to see what poses show."""
+        """The photo without a skyline: enough to see what poses show."""
         height, width = self.rgb.shape[:2]
         unknown = np.full(width, np.nan)
         return self.described(PhotoSkyline(unknown, np.zeros(width), width, height))
@@ -97,7 +99,7 @@ def read_photo(
     MissingFileError
         There is no such file.
     InputError
-        The file cannot be decoded, or is a sliver.
+        The file cannot be decoded, or the picture is a sliver.
     """
     projection = None if projection is None else Projection(projection)
     refuse_text(fov_deg=fov_deg)
@@ -134,9 +136,9 @@ def read_photo(
 def _upright_size(full_px: tuple[int, int], upright: Image.Image) -> tuple[int, int]:
     """Return the upright width and height of a file's pixels.
 
-    They are those before the picture was shrunk. Decoders differ: some have already turned the
-    pixels, some the size as well, and each leaves other tags. The upright picture shows whether the
-    file's size is upright.
+    They are the size before the picture was shrunk. Decoders differ: some have already turned the
+    pixels, some the size as well, and each leaves different tags. The upright picture shows whether
+    the file's size is upright.
     """
     width, height = full_px
     is_turned = (upright.width < upright.height) != (width < height)
@@ -152,6 +154,17 @@ def read_noted_place(path: Picture) -> NotedPlace:
         return NOTHING_NOTED
     with opened_image(path) as image:
         return place_from_exif(image.getexif().get_ifd(IFD.GPSInfo), xmp_of(image))
+
+
+def read_noted_time(path: Picture) -> datetime | None:
+    """Return when a photo was taken, by the camera's clock, as its EXIF notes it.
+
+    None where it notes none, as a trace. Raises as `read_photo`.
+    """
+    if is_table(path):
+        return None
+    with opened_image(path) as image:
+        return time_of(image.getexif().get_ifd(IFD.Exif), Base.DateTimeOriginal)
 
 
 def check_fov(fov_deg: float | None, projection: Projection | None) -> None:

@@ -57,9 +57,9 @@ def read_skyline(
 def named_skyline(
     photo: Picture | PhotoSkyline, fov_deg: float | None = None
 ) -> tuple[str, PhotoSkyline]:
-    """Return the file of a photo, and the photo's skyline.
+    """Return a photo's file name and skyline.
 
-    The file is empty for pixels and for a skyline. The skyline has the given field of view, or else
+    The name is empty for pixels and for a skyline. The skyline has the given field of view, or else
     its own. Raises as `read_skyline`, and `InputError` for anything but one photo.
     """
     if fov_deg is not None:
@@ -105,9 +105,9 @@ def find_skyline(photo: Photo, sky_model: Any = None) -> PhotoSkyline:
 
 
 def read_picture(path: str | Path) -> UInt8Array | None:
-    """Return the pixels of a photo; None for a trace or mask.
+    """Return a photo's pixels; None for a trace or a mask.
 
-    They are (H, W, 3) uint8 RGB. Raises as `read_photo`.
+    Pixels are (H, W, 3) uint8 RGB. Raises as `read_photo`.
     """
     if is_table(path):
         return None

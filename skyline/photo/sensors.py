@@ -11,9 +11,9 @@ from math import hypot
 FULL_FRAME_MM = hypot(36.0, 24.0)
 """Diagonal of 35 mm film."""
 _SEVERAL_SENSORS = re.compile("apple|honor|huawei|lg|microsoft|nokia|samsung sm-", re.IGNORECASE)
-"""Phones, whose models do not say which of their cameras took a photo."""
+"""Phones: the model does not say which of its cameras took a photo."""
 _ONE_SENSOR_RATIO = 1.05
-"""Largest ratio of two sensors of one camera, beyond which it has several."""
+"""Ratio of two sensors of a model beyond which it has several."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +49,7 @@ class Sensor:
 def sensor_of(model: str) -> Sensor | None:
     """Return the sensor of a camera's model.
 
-    It is None unless the model is known to have one sensor.
+    Returns None unless the model is known to have one sensor.
     """
     return _sensors_by_model().get(_model_key(model))
 
@@ -73,5 +73,5 @@ def _sensors_by_model() -> dict[str, Sensor]:
 
 
 def _model_key(model: str) -> str:
-    """Return a model without case and spaces, in which makers' notes differ."""
+    """Return a model without case and spaces, which makers write differently."""
     return "".join(model.split()).upper()

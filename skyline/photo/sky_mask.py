@@ -14,7 +14,7 @@ class _Mask:
     """Limits within which an image is a sky mask."""
 
     nearly: int = 24
-    """Levels within which a pixel counts as black or white: masks saved as JPEG ring."""
+    """Levels within which a pixel counts as black or white: JPEG makes edges of masks ring."""
     least_share: float = 0.98
     """Least share of a mask's pixels that are nearly black or white; the rest is its border."""
     samples: int = 500
@@ -25,12 +25,12 @@ class _Mask:
     middle: float = 127.5
     """Level halfway from black to white."""
     flat_px: float = 1.0
-    """A border within this distance of its median is straight there, as a frame's is."""
+    """A border within this distance of its median is straight there, like a frame."""
     most_flat: float = 0.9
-    """A border that is straight in more than this share of the columns may be a frame's."""
+    """A border that is straight in more than this share of the columns may belong to a frame."""
     most_white: float = 0.1
-    """The border is a frame's, round white ground, if more than this share of the pixels below it
-    are white."""
+    """The border belongs to a frame round white ground if more than this share of the pixels below
+    it are white."""
 
 
 _MASK = _Mask()
@@ -40,7 +40,7 @@ def is_sky_mask(image: UInt8Array) -> bool:
     """Return whether an image is a sky mask.
 
     A mask is grey, nearly all black or white, in few areas. About five hundred rows and columns of
-    the image, (H, W, 3) uint8, are sampled. A dithered photo is no mask.
+    the image, (H, W, 3) uint8, are sampled. A dithered photo is not a mask.
     """
     step_down, step_across = (max(1, side // _MASK.samples) for side in image.shape[:2])
     sample = image[::step_down, ::step_across].astype(np.int16)
@@ -65,7 +65,7 @@ def skyline_of_mask(image: UInt8Array) -> PhotoSkyline:
     wrong = _what_is_wrong(sky, row_px, first)
     if wrong:
         raise InputError(
-            "no skyline found: the picture is black and white alone, as a sky mask is, and has "
+            "no skyline found: the picture is only black and white, as a sky mask is, and has "
             f"{wrong}; expected white for the sky, black for the ground, and no frame"
         )
     trust = np.isfinite(row_px).astype(np.float64)
@@ -73,7 +73,7 @@ def skyline_of_mask(image: UInt8Array) -> PhotoSkyline:
 
 
 def _what_is_wrong(sky: Float64Array, row_px: Float64Array, first: IntArray) -> str:
-    """Return why a picture is no sky mask; empty if it is."""
+    """Return why a picture is not a sky mask, or ""."""
     drawn = np.isfinite(row_px)
     white = np.count_nonzero(sky >= _MASK.middle, axis=0)
     begins_black = sky[0] < _MASK.middle
@@ -93,7 +93,7 @@ def _what_is_wrong(sky: Float64Array, row_px: Float64Array, first: IntArray) -> 
 
 
 def topmost_border(sky: Float64Array, middle: float) -> tuple[Float64Array, IntArray]:
-    """Return the row where each column first falls below a middle.
+    """Return the row where each column first falls below a middle value.
 
     The row (w,) is fractional, NaN if the column of the image (h, w) never falls or starts below
     the middle. The second array is the row of the first pixel of ground.

@@ -23,10 +23,10 @@ class _Input:
     """The picture that the network is shown."""
 
     pixels: int = 230_000
-    """Its size for photos of 3 to 2."""
+    """Its size for photos of the shape 3:2."""
     aspect_scale: tuple[float, float] = (0.7, 2.6)
-    """Least and greatest factor on the size for other aspects: a panorama must be seen as tall as a
-    photo, and an upright photo as finely as one that lies."""
+    """Least and greatest factor on the size for other shapes: a panorama must be as tall as a
+    photo, and an upright photo as detailed as a landscape one."""
     least_pixels: int = 110_000
     """Smaller photos are enlarged to this size, others never."""
     multiple_px: int = 32
@@ -43,7 +43,7 @@ _network_lock = Lock()
 def network_odds(photo: UInt8Array) -> Float32Array:
     """Return log-odds (h', w') of the skyline in each pixel.
 
-    They are the odds of a skyline there against no skyline in the column.
+    They are the odds of a skyline there against none in the column.
     """
     height, width = photo.shape[:2]
     wanted = _INPUT.pixels * aspect_scale(height, width)
@@ -66,7 +66,7 @@ def aspect_scale(height: int, width: int) -> float:
 
 
 def levelled(rgb: UInt8Array) -> Float32Array:
-    """Return (H, W, 3) from -1 to 1, without a tint.
+    """Return pixels (H, W, 3) from -1 to 1, without a tint.
 
     Each channel is scaled to its own range.
     """

@@ -1,4 +1,4 @@
-"""Skylines of photos in pixels, and lenses that their files note."""
+"""Skylines of photos in pixels, and the lenses that their files note."""
 
 from __future__ import annotations
 
@@ -42,10 +42,7 @@ class Lens:
 
     @property
     def in_words(self) -> str:
-        """The field of view and its source in one line.
-
-        It is empty if the file notes no lens.
-        """
+        """The field of view and its source in one line, or ""."""
         if not self.reason:
             return ""
         fov = "not known" if self.fov_deg is None else f"{self.fov_deg:.1f} degrees"
@@ -64,7 +61,7 @@ class PhotoSkyline:
     ----------
     row_px : (W,) float64
         Row of the border between sky and ground; NaN where it is absent or not trusted. A border
-        known to the pixel only is the row of the last sky pixel plus 0.5.
+        known only to the pixel is the row of the last sky pixel plus 0.5.
     trust : (W,) float64
         0 to 1; 0 where ``row_px`` is NaN.
     width_px, height_px : int
@@ -142,7 +139,7 @@ class PhotoSkyline:
         return np.isfinite(self.row_px)
 
     def other_crest_px(self) -> Float64Array:
-        """Return the row (W,) of the likeliest crest beside the skyline.
+        """Return the row (W,) of the likeliest crest other than the skyline.
 
         NaN where there is none. A crest nearer than 2 % of the height is the skyline itself.
         """
@@ -197,7 +194,7 @@ class PhotoSkyline:
 def check_in_picture(skyline: PhotoSkyline) -> None:
     """Raise `InputError` for a skyline with a row outside its picture.
 
-    The levelled picture of a tilted camera has such rows; a photo has none.
+    The levelled picture of a tilted camera may have such rows; a photo has none.
     """
     row_px = skyline.row_px
     outside = np.flatnonzero((row_px < -1.0) | (row_px > skyline.height_px))

@@ -65,11 +65,11 @@ class Stroke:
             raise InputError(f"a brush has a radius of {self.radius_px:g} px; expected 0 or more")
 
     def in_crop(self, column: int, row: int) -> Self:
-        """Return the stroke in a crop that begins at a pixel."""
+        """Return the stroke in a crop's pixels."""
         return replace(self, points_px=tuple((x - column, y - row) for x, y in self.points_px))
 
     def columns(self, width: int) -> IntArray:
-        """Return the columns under the stroke, of ``width``."""
+        """Return which of ``width`` columns lie under the stroke."""
         across = [column for column, _ in self.points_px]
         first = max(0, round(min(across) - self.radius_px))
         last = min(width - 1, round(max(across) + self.radius_px))

@@ -21,10 +21,10 @@ def text_of(tags: Tags, tag: int) -> str:
 
 
 def number_of(value: object) -> float | None:
-    """Return a value as a number; None if it is none.
+    """Return a value as a number; None if it is not one.
 
-    A number that is not finite, as the rational 0/0, is none. EXIF has numbers and rationals, XMP
-    texts of them.
+    A number that is not finite, such as the rational 0/0, does not count. EXIF has numbers and
+    rationals, XMP has them as text.
     """
     if isinstance(value, str) and (rational := _RATIONAL.fullmatch(value)):
         return float(rational[1]) / float(rational[2])

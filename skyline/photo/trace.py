@@ -1,4 +1,4 @@
-"""Skyline traces: CSV files that are written here or drawn."""
+"""Skyline traces: CSV files that are written here or by hand."""
 
 import math
 import re
@@ -14,11 +14,11 @@ from skyline.photo.skyline import Lens, PhotoSkyline
 from skyline.tables import Row, Table, read_table
 
 TRACES = (".csv",)
-"""The suffix of traces: files of others are photos."""
+"""The suffix of traces; files with other suffixes are photos."""
 _MAX_GAP_SHARE = 0.1
 """Points farther apart than this share of the width are not joined."""
 _MAX_SIDE_PX = 100_000
-"""Longest side of a photo: more is a mistake, and would fill the memory."""
+"""Longest side of a photo: a longer one is a mistake, and would fill the memory."""
 _COLUMNS = ("column_px", "row_px")
 _NOTE = re.compile(r"(\w+)\s*=\s*(\S+?)(?=[,;]*\s|[,;]*$|[,;]\w+\s*=)")
 _NOTES = ("width", "height", "fov_deg", "fov_sd_share", "eye_height_m", "projection")
@@ -28,10 +28,10 @@ _FORM = "expected a first line '# width=W height=H', then the header 'column_px,
 def write_trace(skyline: PhotoSkyline, path: str | Path) -> None:
     """Write a skyline as CSV, with a row per trusted column.
 
-    Each run of masked columns has a break. A break is a row whose ``row_px`` is ``nan``: the points
-    on its two sides are not joined. `read_trace` returns the same rows, bit for bit, the field of
-    view and the projection. Raises `InputError` where the suffix is not .csv, or the file cannot be
-    written.
+    Each run of masked columns becomes a break, a row whose
+    ``row_px`` is ``nan``: the points on its two sides are not joined. `read_trace` returns the same
+    rows, bit for bit, the field of view and the projection. Raises `InputError` if the suffix is
+    not .csv, or the file cannot be written.
     """
     check_suffix(path, TRACES)
     lines = [f"# width={skyline.width_px} height={skyline.height_px}"]
@@ -69,7 +69,7 @@ def read_trace(
     MissingFileError
         There is no such file.
     InputError
-        The file is no trace, a point lies outside the image, or a column has two rows.
+        The file is not a trace, a point lies outside the image, or a column has two rows.
     """
     table = read_table(path, _FORM)
     notes, noted_projection = _notes(table)

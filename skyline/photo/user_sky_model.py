@@ -25,12 +25,12 @@ _MULTIPLE_PX = 32
 _STEP_SHARE = 0.012
 """Distance above and below the border at which the probability is read, as a share of all rows."""
 _MIN_TRUST = 0.5
-"""Least fall of the probability across the border; columns below it are masked."""
+"""Least fall of the probability across the border; columns with less are masked."""
 _CONTRACT = "expected one input (1, 3, h, w) and an output (1, 1, h, w), (1, h, w) or (1, 2, h, w)"
 
 
 def load_sky_model(path: str | Path) -> Any:
-    """Return the ``onnxruntime.InferenceSession`` of a model that keeps this module's contract.
+    """Load a model that keeps this module's contract into onnxruntime.
 
     Raises `MissingFileError`, and `InputError` if onnxruntime is not installed or the file is not a
     model.
@@ -72,7 +72,7 @@ def model_skyline(image: UInt8Array, session: Any) -> PhotoSkyline:
 
 
 def _probability(photo: UInt8Array, session: Any) -> Float64Array:
-    """Return the sky's probability (h, w), of the model's output's size."""
+    """Return the sky's probability (h, w) as the model's output has it."""
     inputs = session.get_inputs()
     if len(inputs) != 1 or len(inputs[0].shape) != 4:
         raise InputError(f"the sky model's inputs are {[i.shape for i in inputs]}; {_CONTRACT}")

@@ -1,9 +1,8 @@
 """The XMP of a photo: what its file notes beside EXIF.
 
-XMP is RDF, written as XML (ISO 16684-1). A property is named by its namespace and a local name. Its
-prefix may be any, and it may be an attribute or an element of any description. So XMP is parsed,
-and never searched as text. Declarations of entities are refused, since they can expand without
-bound.
+XMP is RDF, written as XML (ISO 16684-1). A property is named by its namespace and a local name. It
+may have any prefix, and be an attribute or an element of any description. So XMP is parsed, never
+searched as text. Declarations of entities are refused, since they can expand without bound.
 """
 
 import io
@@ -20,9 +19,10 @@ from defusedxml.ElementTree import DefusedXMLParser, fromstring
 from PIL import Image
 
 IN_JPEG = b"http://ns.adobe.com/xap/1.0/\x00"
-"""Begins a JPEG's segment that holds a packet of XMP."""
+"""The beginning of a JPEG segment that holds a packet of XMP."""
 EXTENDED = b"http://ns.adobe.com/xmp/extension/\x00"
-"""Begins a JPEG's segment that holds a part of a second packet, which is longer than a segment."""
+"""The beginning of a JPEG segment that holds a part of a second packet, which is longer than a
+segment."""
 HAS_EXTENDED = ("http://ns.adobe.com/xmp/note", "HasExtendedXMP")
 """The property of the first packet that refers to the second."""
 _RDF = "{http://www.w3.org/1999/02/22-rdf-syntax-ns#}"
@@ -37,7 +37,7 @@ _LENGTH_BYTES = 4
 _OFFSET_BYTES = 4
 """Length of the part's offset in the packet, which follows the packet's length."""
 _LARGEST = 1 << 25
-"""Most bytes of a packet that is parsed. The largest in use hold a depth map, some megabytes."""
+"""Most bytes of a packet that is parsed. The largest in use hold a depth map of some megabytes."""
 _NOT_XML = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\ufffe\uffff]")
 """Characters that XML forbids, and damaged packets contain."""
 

@@ -1,8 +1,8 @@
 """The OpenGL context without a display, its programs, and a rendering thread.
 
-OpenGL 4.3 is required, for its compute shaders. Contexts are tried in this order: EGL on a GPU,
-EGL on Mesa's software rasterizer, OSMesa; ``SKYLINE_GL=egl`` or ``SKYLINE_GL=osmesa`` allows one of
-them alone.
+OpenGL 4.3 is required, for its compute shaders. Contexts are tried in this order: EGL on a GPU, EGL
+on Mesa's software rasterizer, OSMesa; ``SKYLINE_GL=egl`` or ``SKYLINE_GL=osmesa`` allows only one
+of them.
 
 Threads take turns with the one context of a process: it is current in a thread while that thread
 holds it, and in none otherwise. A child that is forked afterwards cannot use it: a fork does not
@@ -36,7 +36,7 @@ Parameters = ParamSpec("Parameters")
 
 ENVIRONMENT_VARIABLE = "SKYLINE_GL"
 BACKENDS = {"egl": "libegl1 libgl1-mesa-dri", "osmesa": "libosmesa6"}
-"""The backends in the order of attempts, and Debian's packages for each."""
+"""The backends in the order of attempts, with the Debian packages for each."""
 
 _VERSION = (4, 3)
 """The version of OpenGL that is required, for its compute shaders."""
@@ -53,7 +53,7 @@ _SHADERS = next(
 
 @dataclass(frozen=True, slots=True)
 class GlLibraries:
-    """Names of the shared libraries in which OpenGL is looked for."""
+    """Names of the shared libraries in which OpenGL is searched."""
 
     egl: str = "libEGL.so.1"
     osmesa: tuple[str, ...] = ("libOSMesa.so.8", "libOSMesa.so.6")
@@ -90,7 +90,7 @@ class GlContext:
 
     @property
     def reason(self) -> str:
-        """The reason why this context was chosen, one phrase."""
+        """Why this context was chosen, in one phrase."""
         if os.environ.get(ENVIRONMENT_VARIABLE):
             return f"{ENVIRONMENT_VARIABLE}={self.backend} allows no other backend"
         if not self.software:
@@ -119,9 +119,9 @@ class SharedContext:
     def held(self) -> Iterator[GlContext]:
         """Hold the context for the block, current in this thread; make it on first use.
 
-        Another thread waits until the block ends. Blocks may be nested; the outermost one also
-        frees what has no holder any more. Raises `ContextError` if no backend gives OpenGL 4.3, or
-        if the context belongs to the process that this one was forked from, and `InputError` if
+        Other threads wait until the block ends. Blocks may be nested; the outermost one also frees
+        what nothing holds any more. Raises `ContextError` if no backend gives OpenGL 4.3, or if the
+        context belongs to the process that this one was forked from, and `InputError` if
         ``SKYLINE_GL`` names no backend.
         """
         # This comes before the turn, which another thread of the parent may have had at the fork.
@@ -150,8 +150,7 @@ class SharedContext:
     def release(self, is_patient: bool = True) -> None:
         """Release the context and all that renderers made in it.
 
-        Does nothing where there is no context, nor, unless it ``is_patient``, while a thread
-        renders.
+        Does nothing without a context, or, unless ``is_patient``, while a thread renders.
         """
         # Only the process that made the context may release it.
         if self._process != os.getpid() or not self._turn.acquire(blocking=is_patient):
@@ -169,7 +168,7 @@ def process_context() -> SharedContext:
     """Return the context that all renderers of this process share.
 
     It is released when the process exits, unless a thread that outlives the interpreter is
-    rendering: the system then frees the context.
+    rendering; then the system frees the context.
     """
     shared = SharedContext()
     atexit.register(shared.release, is_patient=False)
@@ -265,7 +264,7 @@ def _devices(backend: str, libraries: GlLibraries) -> list[tuple[str, Callable[[
 
 
 def _egl_context(library: str, device_index: int) -> Any:
-    """Return glcontext's context on an EGL device; raises `ContextError` where it fails."""
+    """Return glcontext's context on an EGL device, or raise `ContextError`."""
     try:
         from glcontext import egl  # noqa: PLC0415  (glcontext has it on Linux alone)
 

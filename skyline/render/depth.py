@@ -36,7 +36,7 @@ _HOLE_HEIGHT_M = -1e30
 """Height that marks a hole in the texture, since some drivers do not pass NaN to shaders."""
 
 QUANTIZATION_PX = 0.5 + 2.0 / 256.0
-"""Bound on the skyline's error: half a pixel, and the 1/256 px grid that vertices snap to."""
+"""Bound on the skyline's error: half a pixel, plus the 1/256 px grid to which vertices snap."""
 
 
 class DepthRenderer(Renderer):

@@ -34,10 +34,10 @@ SLOPE_BINS = 16
 """Bins of rays' slopes, from the steepest left to the steepest right; each has its own bounds."""
 
 EMPTY = np.float32(-3e38)
-"""The height of a hole, and of what lies off the map."""
+"""The height of holes, and of everything off the map."""
 
 _COLUMN_APRON = 4
-"""Empty columns beside the samples; COLUMN_APRON of the shader."""
+"""Empty columns beside the samples; the shader's COLUMN_APRON."""
 
 _TREES_AT_ONCE = 2
 """Threads that build trees: NumPy lets them run side by side, and each takes its memory."""
@@ -45,14 +45,14 @@ _TREES_AT_ONCE = 2
 
 @dataclass(frozen=True, slots=True)
 class GpuLimits:
-    """How much of the GPU's memory a renderer of columns takes."""
+    """How much GPU memory a column renderer takes."""
 
     field_cells: int = 5120
-    """Cells along a side of the largest field that is one window: its textures take some 1.1 GB."""
+    """Cells along a side of the largest field that is one window: its textures take some 0.9 GB."""
     window_cells: int = 2048
     """Cells along a side of the windows of larger fields."""
     resident_samples: int = 1 << 27
-    """Number of samples whose windows stay on the GPU, at some 43 bytes a sample: 5.8 GB hold
+    """Number of samples whose windows stay on the GPU, at some 36 bytes a sample: 4.8 GB hold
     650,000 km2 of a model of 70 m. A build that loads windows anew for each few hundred views
     spends nearly all its time on that."""
     result_bytes: int = 1 << 26
@@ -145,20 +145,21 @@ class WindowTextures:
             self.rims = self._trees_of_rims(triangles)
         heights[holes] = EMPTY
         inner = heights[1:-1, 1:-1]
-        present = ~holes[1:-1, 1:-1]
-        self.lowest_m = float(inner.min(where=present, initial=np.float32(np.inf)))
+        present = ~holes
+        where = present[1:-1, 1:-1]
+        self.lowest_m = float(inner.min(where=where, initial=np.float32(np.inf)))
         """Lowest sample; 0 where there are none."""
-        self.highest_m = float(inner.max(where=present, initial=np.float32(-np.inf)))
+        self.highest_m = float(inner.max(where=where, initial=np.float32(-np.inf)))
         """Highest sample; 0 where there are none."""
         if self.lowest_m > self.highest_m:
             self.lowest_m = self.highest_m = 0.0
         # Two less than the greatest code of 16 bits, since codes are rounded up.
         self.code_step_m = max(self.highest_m - self.lowest_m, 1.0) / 65533
-        self.heights = _upload(ctx, heights[..., np.newaxis], "f4")
-        """float32 metres with an apron of one sample, `EMPTY` for holes and off the map."""
         self.columns = tuple(_columns(ctx, seen) for seen in (inner, inner.T))
-        """The samples again, for headings 0, 2 and 1, 3: a texel is three neighbours along the
-        axis."""
+        """float32 metres for headings 0, 2 and 1, 3, `EMPTY` for holes and off the window: a texel
+        is three neighbours along the axis."""
+        self.present = _upload(ctx, present.view("u1")[..., np.newaxis], "u1")
+        """1 where there is a sample, else 0; with the samples next to the window."""
         self.slabs = self._trees_of_heights(inner)
         """Upper bounds of the heights: code c stands for ``lowest_m + c * code_step_m``."""
 
@@ -236,7 +237,7 @@ class WindowTextures:
 class _Atlas:
     """One array of texels for the levels of two or four trees.
 
-    If there are two, each serves both headings of an axis. Four stand in two stacks side by side,
+    Of two trees, each serves both headings of an axis. Four stand in two stacks side by side,
     because one stack of four would be higher than a texture may be. A ray that leaves its own tree
     may meet the next one: superfluous marks and bounds cost time, but change no skyline.
     """
@@ -319,18 +320,18 @@ def _columns(ctx: moderngl.Context, heights: Float32Array) -> moderngl.Texture:
     lines, columns = heights.shape
     leaves = max(-(-(lines - 1) // 2), 1)
     inner = slice(_COLUMN_APRON, _COLUMN_APRON + columns)
-    texels = np.full((leaves, _pitch(columns + 2 * _COLUMN_APRON), 4), EMPTY, dtype=np.float32)
-    for component, line in enumerate((0, 1, 2, 2)):
+    texels = np.full((leaves, _pitch(columns + 2 * _COLUMN_APRON), 3), EMPTY, dtype=np.float32)
+    for line in range(3):
         seen = heights[line : line + 2 * leaves : 2]
-        texels[: len(seen), inner, component] = seen
+        texels[: len(seen), inner, line] = seen
     return _upload(ctx, texels, "f4")
 
 
 def _pitch(columns: int) -> int:
     """Return the width of a texture for some columns.
 
-    It is 16 texels, an odd number of times. It is no power of two, at which neighbouring rows would
-    share lines of the cache.
+    It is an odd multiple of 16 texels: at a power of two, neighbouring rows would share cache
+    lines.
     """
     return (-(-columns // 16) | 1) * 16
 
@@ -338,8 +339,8 @@ def _pitch(columns: int) -> int:
 def _upload(ctx: moderngl.Context, values: NDArray[Any], dtype: str) -> moderngl.Texture:
     """Upload texels (rows, columns, components).
 
-    Columns are filled up to a `_pitch`. Raises `ContextError` where OpenGL refuses the texture,
-    which would read as zeros.
+    Columns are padded to a `_pitch`. Raises `ContextError` if OpenGL refuses the texture, which
+    would then read as zeros.
     """
     lines, columns, components = values.shape
     if missing := _pitch(columns) - columns:

@@ -125,9 +125,9 @@ class RenderedScene:
     ) -> list[Views]:
         """Render each eye's view along its heading (N,).
 
-        Views of the terrain come first, then those of the surface. Where a thread renders for all,
-        it renders ``urgent`` views first, between the pieces of others. Raises `InputError` where
-        the scene is closed.
+        Views of the terrain come first, then those of the surface. A thread that renders for all
+        takes ``urgent`` views first, between the pieces of others. Raises `InputError` if the scene
+        is closed.
         """
         if not self._renderers:
             raise InputError("the matcher or viewer is closed; make another one")

@@ -29,7 +29,7 @@ MAX_SPACING_RATIO = 64.0
 """Greatest ratio of a field's two spacings."""
 
 NEAR_ERROR_PX = 0.02
-"""Largest error of rounding near the eye, in pixels; float64 is used where float32 exceeds it."""
+"""Largest rounding error near the eye, in pixels; float64 is used where float32 exceeds it."""
 
 _NOTHING = np.float32(-1e30)
 """v of a column that has met no data yet, as in the shader."""
@@ -50,7 +50,7 @@ _EYE_DTYPE = np.dtype(
 may leave the view of 90 degrees. The first value of ``row`` is the eye's row in the results.
 """
 _TOUCHED_U = 1e-5
-"""A ray this close to a window, in u, counts as one that meets it: more than any rounding."""
+"""A ray this close to a window, in u, counts as meeting it; this is more than any rounding."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +94,7 @@ class Eyes:
         return len(self._order)
 
     def groups(self, seen: BoolArray) -> Iterator[EyeGroup]:
-        """Yield the marked eyes (N,) of each heading and precision that occurs."""
+        """Yield the marked eyes (N,) for each occurring heading and precision."""
         kind = 2 * self._heading.astype(np.int64) + self._is_double
         for value in np.unique(kind[seen]):
             rows = np.flatnonzero(seen & (kind == value))
@@ -116,14 +116,14 @@ class Eyes:
         return eyes
 
     def nearest_of(self, windows: Sequence[Window]) -> IntArray:
-        """Return the index (N,) of the window in which each eye stands, or of the nearest one."""
+        """Return the index (N,) of each eye's own or nearest window."""
         gap_m = np.stack([np.hypot(*self._gap_m(one, self._position).T) for one in windows])
         return np.asarray(gap_m.argmin(axis=0))
 
     def may_rise_to(
         self, v: Float32Array, u: Float64Array, window: Window, highest_m: float, drop_per_m2: float
     ) -> BoolArray:
-        """Return which of the eyes (N,) may see a window above skylines v (N, W).
+        """Return which eyes (N,) may see a window above skylines (N, W).
 
         The window's heights are at most ``highest_m``. ``u`` (W,) are the columns' abscissas before
         the eyes are turned.
@@ -149,7 +149,7 @@ class Eyes:
         return np.asarray((ahead[1] > 0.0) & (faces & is_lower).any(axis=1))
 
     def _across_and_ahead(self, window: Window) -> tuple[Float64Array, Float64Array]:
-        """Return a window's extent to the right of the eyes and ahead of them, metres.
+        """Return a window's extent across and ahead of the eyes, metres.
 
         Each has the least (N,) and the greatest distance (N,), of either sign.
         """
@@ -162,7 +162,7 @@ class Eyes:
         return np.sort(right, axis=0), np.sort(ahead, axis=0)
 
     def _gap_m(self, window: Window, position: Float64Array) -> Float64Array:
-        """Return how far positions (..., 2) lie from a window, north-south and east-west."""
+        """Return how far positions (..., 2) lie from a window."""
         first = np.array([window.row, window.col])
         last = first + np.array([window.rows, window.cols]) - 1
         outside = np.maximum(np.maximum(first - position, position - last), 0.0)
@@ -344,7 +344,7 @@ class ColumnRenderer(Renderer):
         return np.frombuffer(data, kind).reshape(rows, self.width)
 
     def _may_rise(self, window: Window, eyes: Eyes) -> BoolArray:
-        """Return of which eyes (N,) a window may raise the skylines found so far."""
+        """Return for which eyes (N,) a window may raise the skyline."""
         if window in self._resident:
             highest_m = self._resident[window].highest_m
         else:
@@ -359,7 +359,7 @@ class ColumnRenderer(Renderer):
     def _load(self, window: Window) -> WindowTextures:
         """Return a window's textures.
 
-        They stay on the GPU until others, used since, need their room.
+        They stay on the GPU until more recently used ones need the room.
         """
         textures = self._resident.pop(window, None)
         if textures is None:
@@ -369,7 +369,7 @@ class ColumnRenderer(Renderer):
         return textures
 
     def _make_room(self, samples: int) -> None:
-        """Let the windows go whose last use is longest ago, until ``samples`` more have room."""
+        """Free the least recently used windows, until ``samples`` more have room."""
         held = sum(one.samples for one in self._resident)
         while self._resident and held + samples > self._limits.resident_samples:
             oldest = next(iter(self._resident))
@@ -390,7 +390,7 @@ class ColumnRenderer(Renderer):
     def _march_group(
         self, window: WindowTextures, eyes: NDArray[np.void], group: EyeGroup, is_first: bool
     ) -> None:
-        """March over a window from a group's eyes, which are as the shader reads them."""
+        """March over a window from the eyes of a group."""
         slope_max = window.slope_max[group.heading % 2]
         # No ray is as steep as slope_max, so at equal spacings it crosses at most two cells.
         steepest = 1.0 if eyes["turn_tan"].any() else self._widest_u
@@ -447,7 +447,7 @@ class ColumnRenderer(Renderer):
     def _textures(self, window: WindowTextures, heading: int) -> dict[str, moderngl.Texture]:
         """Return a heading's textures of a window, by the shader's names."""
         textures = {
-            "heights_m": window.heights,
+            "present": window.present,
             "slabs": window.slabs.texture,
             "columns_m": window.columns[heading % 2],
             "aims": self._aims,

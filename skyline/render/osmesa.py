@@ -26,7 +26,7 @@ class OsMesaContext:
     def __init__(self, names: Sequence[str], version: tuple[int, int]) -> None:
         """Make a core profile of an OpenGL version.
 
-        The first library that loads makes it. Raises `ContextError` where none loads, or it lacks
+        The first library that loads makes it. Raises `ContextError` if none loads, or if it lacks
         the version.
         """
         library = _loaded(names)
@@ -51,7 +51,7 @@ class OsMesaContext:
         self.__enter__()
 
     def load_opengl_function(self, name: str) -> int:
-        """Return the address of an OpenGL function, 0 where there is none."""
+        """Return the address of an OpenGL function; 0 if there is none."""
         return self._proc_address(name.encode()) or 0
 
     def __enter__(self) -> Self:

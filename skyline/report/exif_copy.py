@@ -54,7 +54,7 @@ _OF_THE_PHOTO = {
     Base.ImageDescription, Base.Make, Base.Model, Base.Software, Base.DateTime, Base.Artist,
     Base.Copyright, Base.ExifOffset,
 }  # fmt: skip
-"""Tags of a TIFF's directory that do not describe how its own pixels are stored."""
+"""Tags of a TIFF's directory that do not describe how its pixels are stored."""
 _XMP = 700
 """The tag of XMP in EXIF."""
 _POSE = re.compile(
@@ -63,7 +63,7 @@ _POSE = re.compile(
 )
 """XMP's names of place and attitude, in any namespace: EXIF's GPS tags and tags of drones."""
 _PANORAMA_POSE = re.compile(r"(?:Pose|InitialView)\w+")
-"""Names of place and attitude that count in the namespace of panoramas alone."""
+"""Names of place and attitude that count only in the namespace of panoramas."""
 
 
 def write_located(source: str | Path, path: str | Path, candidate: Pose) -> None:
@@ -129,9 +129,9 @@ def _gps(candidate: Pose) -> dict[int, object]:
 
 
 def _sexagesimal(degrees: float) -> tuple[IFDRational, ...]:
-    """Return the degrees, minutes and seconds of an angle without its sign.
+    """Return an angle's degrees, minutes and seconds, without its sign.
 
-    It is rounded to a ten-thousandth of a second.
+    Seconds are rounded to a ten-thousandth.
     """
     whole, rest = divmod(round(abs(degrees) * 36_000_000), 36_000_000)
     minutes, seconds = divmod(rest, 600_000)

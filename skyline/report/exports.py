@@ -49,14 +49,14 @@ _OVERLAY = """<PhotoOverlay><name/><Camera>
 <near>300</near></ViewVolume>
 <Point><coordinates>{place.coordinates}</coordinates></Point>
 <shape>rectangle</shape></PhotoOverlay>"""
-"""A photo that stands 300 m before the camera; its name and address are set as texts."""
+"""A photo that stands 300 m in front of the camera; its name and address are set as texts."""
 Json = dict[str, object]
 Photos = Sequence[UInt8Array | None]
 
 
 @dataclass(frozen=True, slots=True)
 class _Placemark:
-    """A pose with the texts that KML and GPX have of it."""
+    """A pose with its texts for KML and GPX."""
 
     pose: Pose
     name: str
@@ -83,7 +83,7 @@ class _Placemark:
 
     @property
     def coordinates(self) -> str:
-        """Longitude, latitude and elevation as KML has them."""
+        """Longitude, latitude and elevation as KML writes them."""
         return f"{self.lon},{self.lat},{self.pose.eye_elevation_m:.2f}"
 
 
@@ -165,8 +165,8 @@ def _linked_kml(
 ) -> bytes:
     """Return KML that links to the files of photos.
 
-    An address is the path from the folder of the KML (RFC 3986, 4.2). If ``photos`` are given, it
-    is the file's name: the file should lie beside the KML.
+    A link is the path from the folder of the KML (RFC 3986, 4.2). If ``photos`` are given, it is
+    the file's name: the file should lie beside the KML.
     """
     hrefs: list[str | None] = []
     for photo in (Path(one.name) for one in results):
@@ -287,7 +287,7 @@ def export_matches(
     Raises
     ------
     InputError
-        The suffix is not known, a photo cannot be read or is missing, the frame is of another
+        The suffix is unknown, a photo cannot be read or is missing, the frame belongs to another
         world than the Earth, or the file cannot be written.
     """
     path = Path(path)

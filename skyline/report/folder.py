@@ -11,9 +11,9 @@ _FILES = re.compile(rf"{REPORT_PAGE}|{CANDIDATES}|\d\d+-(overlay\.jpg|(map|detai
 
 
 def check_report_folder(folder: Path) -> None:
-    """Check that a report would replace no files but an earlier report's.
+    """Check that a report would replace only an earlier report's files.
 
-    The page of a report has a mark; where there is none, no file is an earlier report's. Raises
+    The page of a report has a mark; without it, no file belongs to an earlier report. Raises
     `InputError` as `check_folder`, and for a file that would be replaced.
     """
     check_folder(folder)

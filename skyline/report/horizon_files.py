@@ -175,10 +175,12 @@ def _stellarium(horizons: LocalHorizons) -> bytes:
     """Return a zip of a polygonal landscape: landscape.ini and its horizon list.
 
     Stellarium's user guide, chapter Landscapes, "Polygonal landscapes"; azimuths count from north
-    over east (``azDeg_altDeg``).
+    over east (``azDeg_altDeg``). Stellarium knows an installed landscape by its folder, and
+    refuses a second one of that name (`LandscapeMgr::installLandscapeFromArchive`).
     """
     lon_deg, lat_deg = float(in_turn(horizons.lon[0])), float(horizons.lat[0])
     name = str(horizons.id[0]) or f"Skyline {lat_deg:.4f} {lon_deg:.4f}"
+    folder = f"skyline_{lat_deg:.5f}_{lon_deg:.5f}"
     lowest_deg = np.floor(min(float(horizons.elevation_deg.min()), 0.0)) - 1.0
     lines = {
         "landscape": {
@@ -207,7 +209,7 @@ def _stellarium(horizons: LocalHorizons) -> bytes:
     with zipfile.ZipFile(made, "w", zipfile.ZIP_DEFLATED) as archive:
         # A fixed time, so that the same horizon makes the same file.
         for file, text in (("landscape.ini", ini), ("horizon.txt", _pairs(horizons, closed=False))):
-            archive.writestr(zipfile.ZipInfo(f"skyline/{file}"), text)
+            archive.writestr(zipfile.ZipInfo(f"{folder}/{file}"), text)
     return made.getvalue()
 
 

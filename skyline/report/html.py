@@ -1,6 +1,6 @@
 """HTML pages in one file: text, tables and pictures, without a network.
 
-Each function returns HTML; texts given to them, file names included, are escaped.
+Each function returns HTML, and escapes the texts it is given, including file names.
 """
 
 import base64
@@ -76,7 +76,7 @@ def section(title: str, parts: Iterable[str]) -> str:
 def text(words: str, kind: str = "", links: Iterable[tuple[str, str]] = ()) -> str:
     """Return a paragraph.
 
-    ``links``, each an address and its words, are appended to it. ``kind`` highlights a result:
+    ``links``, each an address and its text, are appended to it. ``kind`` highlights a result:
     ``answer``, ``refusal`` or ``pose``.
     """
     shown = _escaped(words)
@@ -122,7 +122,7 @@ def _escaped(text: str) -> str:
 def _row(tag: str, texts: Iterable[str], aligned: Sequence[bool]) -> str:
     """Return a row of a table.
 
-    Cells of ``aligned`` columns are set right.
+    Cells of ``aligned`` columns are aligned to the right.
     """
     cells = (
         f"<{tag}{' class=n' if right else ''}>{_escaped(text)}</{tag}>"

@@ -1,4 +1,4 @@
-"""Matplotlib figures as files, labels of peaks, and their placing without overlaps."""
+"""Matplotlib figures as files, and labels of peaks placed without overlaps."""
 
 import io
 from collections.abc import Sequence
@@ -15,13 +15,13 @@ from skyline.fonts import fonts_for, packages_with, undrawn_letters
 from skyline.peaks import S
 
 _MARK = "Software", "Skyline"
-"""Name and content of a text in the PNG files that are written here."""
+"""Name and content of a text in all PNG files that are written here."""
 _OPTIONS: dict[str, dict[str, Any]] = {
     "png": {"pil_kwargs": {"compress_level": 4}, "metadata": dict([_MARK])},
     "jpeg": {"pil_kwargs": {"quality": 88, "subsampling": 0}},
 }
-"""Options of JPEG: without optimization a file has a tenth more bytes, but takes half the time; at
-reduced colour resolution thin coloured lines fade."""
+"""JPEG options: without optimization a file has a tenth more bytes, but takes half the time; with
+reduced colour resolution, thin coloured lines would fade."""
 
 
 def encode_figure(figure: Figure, kind: str = "png") -> bytes:
@@ -32,7 +32,7 @@ def encode_figure(figure: Figure, kind: str = "png") -> bytes:
 
 
 def is_figure(path: Path) -> bool:
-    """Return whether a file is a PNG of `encode_figure`."""
+    """Return whether a file is a PNG made by `encode_figure`."""
     return has_mark(path, b"\0".join(text.encode() for text in _MARK))
 
 
@@ -76,7 +76,7 @@ class Label(Generic[S]):
 
     @property
     def style(self) -> dict[str, Any]:
-        """Options of a Matplotlib text that draws the label as it is."""
+        """Options with which a Matplotlib text draws the label."""
         return {"fontfamily": self.families, "parse_math": False}
 
 
@@ -120,7 +120,7 @@ def place_labels(
 
 @dataclass(frozen=True, slots=True)
 class UnnamedPeaks:
-    """The peaks in a picture whose names are not on it.
+    """The peaks in a picture that are left unnamed.
 
     Attributes
     ----------
@@ -135,7 +135,7 @@ class UnnamedPeaks:
 
     @property
     def counted(self) -> str:
-        """The number of missing names, to end a sentence; empty for none."""
+        """The number of missing names, to end a sentence, or ""."""
         words = ""
         if self.no_room:
             have = "peak has" if len(self.no_room) == 1 else "peaks have"
@@ -147,7 +147,7 @@ class UnnamedPeaks:
 
     @property
     def named(self) -> str:
-        """As `counted`, with names that no font draws and packages of fonts."""
+        """As `counted`, with undrawn names and font packages for them."""
         if not self.no_font:
             return self.counted
         packages = packages_with(undrawn_letters(self.no_font))

@@ -35,7 +35,7 @@ from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 
 _LEAST_SIDE_M = 2000.0
-"""Least side of a candidate's map; the least side of the map of all candidates is twice as long."""
+"""Least side of a candidate's map; the map of all candidates is at least twice as wide."""
 _WIDTH_IN = 5.8
 """Width of a map."""
 _TINTS = ("#7fa87a", "#a9bd8b", "#d3c79b", "#c4a983", "#b59f8d", "#d9d5d1", "#ffffff")
@@ -52,7 +52,7 @@ _LIGHT = np.array([-0.5, 0.5, np.sqrt(0.5)], dtype=np.float32)
 
 
 def overview_area(places: Sequence[Pose | Viewpoints], terrain: HeightField | None) -> Bbox:
-    """Return the area around places, as far as the terrain covers it."""
+    """Return the area around places that the terrain covers."""
     easting = np.hstack([place.easting_m for place in places])
     northing = np.hstack([place.northing_m for place in places])
     return _area_around(easting, northing, 2.0 * _LEAST_SIDE_M, terrain)
@@ -75,7 +75,7 @@ def _area_around(
 ) -> Bbox:
     """Return the part of a square around places that terrain covers.
 
-    The square is at least ``least_m`` wide, with a fifth of its side free on each side of the
+    The square is at least ``least_m`` wide, and leaves a fifth of its side free beyond the
     outermost places.
     """
     widest = max(float(np.ptp(easting)), float(np.ptp(northing)))
@@ -122,9 +122,9 @@ def draw_match_map(
 
 
 def _draw_viewpoints(axis: Axes, viewpoints: Viewpoints, area: Bbox) -> int:
-    """Draw the positions of the store within an area; return their number.
+    """Draw the store's positions within an area; return their number.
 
-    A dot is smaller than the distance to its neighbour, so that the map shows between them.
+    Dots are smaller than the distance between neighbours, so that the map shows between them.
     """
     places = np.unique(np.stack([viewpoints.easting_m, viewpoints.northing_m], axis=1), axis=0)
     inside = places[((area.min <= places) & (places <= area.max)).all(axis=1)]
@@ -188,7 +188,7 @@ def _draw_peaks(axis: Axes, labels: Sequence[Label[Sighting]], area: Bbox) -> No
 def draw_relief(axis: Axes, terrain: HeightField | None, area: Bbox) -> None:
     """Draw the terrain of an area, shaded and tinted by height.
 
-    Without terrain the map stays plain, with a note.
+    Without terrain the map is plain and has a note.
     """
     axis.set_facecolor("#eef0ee")
     axis.set(xlim=(area.x0, area.x1), ylim=(area.y0, area.y1), aspect="equal")
@@ -307,7 +307,7 @@ def contours(heights: Float32Array, interval_m: float) -> BoolArray:
 def tint_range_m(heights: FloatArray) -> tuple[float, float]:
     """Return the heights of the lowest and the highest tint of terrain.
 
-    Of the heights, half a percent are lower and half a percent are higher.
+    Half a percent of the heights lie below this range, and half a percent above.
     """
     low, high = np.nanpercentile(heights, [0.5, 99.5])
     return float(low), max(float(high), float(low) + 1.0)
@@ -325,9 +325,9 @@ class ReliefTiles:
         antimeridian."""
 
     def contours_m(self, zoom: int) -> float | None:
-        """Return the interval of the contour lines at a zoom; None where there are none.
+        """Return the contour lines' interval at a zoom; None without lines.
 
-        It is so great that lines on a slope of 45 degrees lie five pixels apart.
+        Lines on a slope of 45 degrees lie at least five pixels apart.
         """
         _, south, _, north = self.bounds_deg
         around_m = 2.0 * np.pi * 6_378_137.0 * np.cos(np.radians((south + north) / 2.0))
@@ -370,8 +370,8 @@ class ReliefTiles:
 def _lonlat(zoom: int, x: int, y: int, mesh: int) -> tuple[Float64Array, Float64Array]:
     """Return longitude and latitude of a mesh (M, M) over a tile.
 
-    It reaches one pixel beyond each side. The projection is computed at the mesh alone, and
-    interpolated between.
+    The mesh reaches one pixel beyond each side. The projection is computed only at the mesh, and
+    interpolated in between.
     """
     along = (np.linspace(-1.0, TILE_PX, mesh) + 0.5) / TILE_PX
     east, south = np.meshgrid((x + along) / 2.0**zoom, (y + along) / 2.0**zoom)

@@ -36,10 +36,11 @@ def report_matches(
     done: str = "",
     served: tuple[str, str] | None = None,
 ) -> Path:
-    """Write ``index.html``, its pictures and ``matches.geojson`` into a folder; return the page.
+    """Write a report into a folder, and return its page.
 
-    The page holds its pictures itself, so that it can be sent as one file. The GPS position in a
-    photo's EXIF is left out of all of them. Where a file cannot be written, no new folder stays.
+    The report is ``index.html``, its pictures and ``matches.geojson``. The page embeds its
+    pictures, so it can be sent as one file. None of them has the GPS position of a photo's EXIF. If
+    a file cannot be written, no new folder is left.
 
     Parameters
     ----------
@@ -112,7 +113,7 @@ def report_matches(
 def _answered(results: Sequence[MatchResult]) -> str:
     """Return the number of answered searches in words.
 
-    The words are empty if all poses were set by hand.
+    Empty if all poses were set by hand.
     """
     searched = [one for one in results if one.best is None or one.best.rank]
     answered = sum(one.answer is not None for one in searched)
@@ -123,14 +124,14 @@ def _about(viewer: Viewer | None) -> str:
     """Return sentences on the elevation model and the names of peaks."""
     if viewer is None:
         return (
-            "There was no elevation model at hand: the maps have no relief, no skyline could be "
+            "There was no elevation model, so the maps have no relief, no skyline could be "
             "rendered for the candidates and no peak is named (give --dem)."
         )
     if viewer.peaks is None:
         return "No file of peaks was given, so no peak is named (--peaks FILE)."
     return (
         f"Of {len(viewer.peaks)} peaks given, the ones that the camera sees are named: "
-        "nothing on the line to them stands above them in the elevation model."
+        "no terrain of the elevation model hides them."
     )
 
 

@@ -36,6 +36,13 @@ class OrthoSettings:
     """Pixels of a photo by which its detail is estimated."""
     levels: int = 5
     """Halvings of a photo from which cells are taken that are larger than pixels."""
+    most_off: float = 0.5
+    """A cell is hidden if the photo shows ground there that is nearer by more than so many
+    cells."""
+    reach: float = 2.0
+    """Cells are left out that are nearer to hidden ground than so many pixels, or cells where these
+    are longer: their colours would be mixed with those beyond the edge. A pixel of a halved photo
+    is mixed of pixels up to two of its own sides away."""
 
 
 _SETTINGS = OrthoSettings()
@@ -159,18 +166,20 @@ def lay(view: GroundView, picture: NDArray[Any], grid: Grid) -> Laid:
     """Return a picture (H, W, C) of a camera on a grid."""
     shape = (grid.rows, grid.cols)
     east_m, north_m = grid.middles_m()
-    found = view.pixels(east_m.ravel(), north_m.ravel())
+    found = view.pixels(east_m.ravel(), north_m.ravel(), _SETTINGS.most_off * grid.cell_m)
     column, row = (one.reshape(shape) for one in (found.column_px, found.row_px))
     height_px, width_px = picture.shape[:2]
     longest_m = _pixel_lengths_m(column, row, grid.cell_m)
     with np.errstate(invalid="ignore"):
-        seen = ~found.is_hidden.reshape(shape) & (longest_m <= _SETTINGS.coarsest * grid.cell_m)
+        seen = longest_m <= _SETTINGS.coarsest * grid.cell_m
+        mixed = _SETTINGS.reach * np.maximum(longest_m / grid.cell_m, 1.0)
+        seen &= _from_hidden(found.is_hidden.reshape(shape)) > mixed
         seen &= (column >= 0.0) & (column <= width_px - 1.0)
         seen &= (row >= 0.0) & (row <= height_px - 1.0)
     values = np.zeros((*shape, picture.shape[2]), dtype=picture.dtype)
     with np.errstate(divide="ignore", invalid="ignore"):
         level = np.nan_to_num(np.log2(grid.cell_m / longest_m))
-    level = np.clip(np.rint(level), 0, _SETTINGS.levels).astype(int)
+    level = np.clip(np.floor(level), 0, _SETTINGS.levels).astype(int)
     halved = picture
     for number in range(int(level[seen].max(initial=0)) + 1):
         if number:
@@ -181,6 +190,14 @@ def lay(view: GroundView, picture: NDArray[Any], grid: Grid) -> Laid:
             at = [(one[chosen] / 2**number).astype(np.float32) for one in (column, row)]
             values[chosen] = _sampled(halved, *at)
     return Laid(values, np.where(seen, longest_m, np.nan).astype(np.float32))
+
+
+def _from_hidden(is_hidden: BoolArray) -> Float32Array:
+    """Return how many cells away the nearest hidden cell is; infinite where none is hidden."""
+    if not is_hidden.any():
+        return np.full(is_hidden.shape, np.inf, dtype=np.float32)
+    shown = (~is_hidden).astype(np.uint8)
+    return np.asarray(cv2.distanceTransform(shown, cv2.DIST_L2, cv2.DIST_MASK_PRECISE))
 
 
 def _sampled(picture: NDArray[Any], column: Float32Array, row: Float32Array) -> NDArray[Any]:

@@ -20,7 +20,7 @@ from skyline.view import SeenBody, SeenPeak, Sight
 
 _RENDERED_COLOUR = "#35d0ff"
 _DRAWN_COLOUR = "#ffd23f"
-"""Of the skyline found, the sun, the moon and lines of the map."""
+"""Colour of the skyline found, the sun, the moon and lines of the map."""
 _DPI = 100.0
 _ROW_PX = 21.0
 """Height of a row of labels."""
@@ -36,8 +36,8 @@ def draw_overlay(
 ) -> tuple[bytes, UnnamedPeaks]:
     """Draw skylines and the names of peaks over a photo.
 
-    Returns a JPEG and the peaks without their names. Without a photo the canvas is blank. ``pose``
-    is the pose from which ``sight`` and ``peaks`` are seen; see `draw_labels`.
+    Returns a JPEG and the peaks left unnamed. Without a photo the canvas is blank.
+    ``pose`` is the pose from which ``sight`` and ``peaks`` are seen; see `draw_labels`.
     """
     texts = [one.label for one in peaks]
     # The legend has two rows, 46 px high.
@@ -82,7 +82,7 @@ def draw_labels(
     Returns
     -------
     bytes, UnnamedPeaks
-        The picture, the photo at most 1600 px wide and high; and the peaks without their names,
+        The picture, with the photo at most 1600 px wide and high; and the peaks left unnamed,
         because names would overlap or no installed font draws them.
     """
     texts = [f"{one.label}  {one.distance_m / 1000.0:.1f} km" for one in peaks]
@@ -217,7 +217,7 @@ def _draw_picture(
 
 
 def _draw_masked(axis: Axes, skyline: PhotoSkyline) -> None:
-    """Veil the columns in which no skyline is trusted."""
+    """Veil the columns without a trusted skyline."""
     edges = np.flatnonzero(np.diff(~skyline.trusted, prepend=False, append=False)).reshape(-1, 2)
     spans = [(start - 0.5, end - start) for start, end in edges]
     if spans:

@@ -32,9 +32,9 @@ from skyline.terrain.surface_model import read_surface
 from skyline.terrain.viewpoints import stand_at_one
 
 PANORAMA_SUFFIXES = (".png", ".svg", ".pdf")
-"""Suffixes of the files that can be written."""
+"""Suffixes of the files that panoramas can be written to."""
 SUMMIT = "summit"
-"""The id of summits' names in the figure."""
+"""The id that the names of summits have in the figure."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,9 +95,9 @@ def save_panorama(
     Returns
     -------
     int
-        Number of peaks visible in the picture. If two names would overlap, the less prominent
-        peak gets none; nor does a peak whose name no installed font draws, which a warning names.
-        The picture's title gives the number of peaks without a name.
+        Number of peaks visible in the picture. If two names would overlap, the less prominent peak
+        gets none. Neither does a peak whose name no installed font draws; a warning names it. The
+        picture's title gives the number of peaks without a name.
 
     Raises
     ------
@@ -127,7 +127,7 @@ def save_panorama(
 
 
 def save_view(view: PanoramaView, path: str | Path) -> UnnamedPeaks:
-    """Draw a view as a panorama; return the peaks without their names."""
+    """Draw a view as a panorama; return the peaks left unnamed."""
     figure, unnamed = draw_panorama(view)
     write_whole(Path(path), encode_figure(figure, suffix_of(path, PANORAMA_SUFFIXES)[1:]))
     return unnamed
@@ -136,7 +136,7 @@ def save_view(view: PanoramaView, path: str | Path) -> UnnamedPeaks:
 def draw_panorama(view: PanoramaView) -> tuple[Figure, UnnamedPeaks]:
     """Draw a panorama in rows, with one scale for azimuth and elevation.
 
-    Returns the figure and the peaks without their names.
+    Returns the figure and the peaks left unnamed.
     """
     figure = Figure(dpi=150)
     FigureCanvasAgg(figure)
@@ -179,7 +179,8 @@ class _Row:
     span_deg: tuple[float, float]
     """Elevation angles of the lower and the upper border."""
     names: list[tuple[Label[Sighting], float, float, float]]
-    """(label, azimuth_deg, summit_deg, wide_in) of each name; upright, it is ``wide_in`` wide."""
+    """(label, azimuth_deg, summit_deg, wide_in) of each name, which is ``wide_in`` wide when
+    upright."""
     in_a_deg: float
     """Inches per degree, sideways and upwards."""
     high_in: float
@@ -254,8 +255,8 @@ def _draw_row(axis: Axes, view: PanoramaView, row: _Row, colours: UInt8Array) ->
 def _colours(view: PanoramaView) -> UInt8Array:
     """Return RGBA colours (P + 1, 4) of the landscape and the sky.
 
-    The landscape's points come first, the sky last. Light falls over the viewer's left shoulder, 60
-    degrees aside and 40 degrees up, in every direction of view.
+    The landscape's points come first, the sky last. Light falls over the viewer's left shoulder,
+    from 60 degrees aside and 40 degrees up, in every direction of view.
     """
     landscape = view.landscape
     terrain = landscape.terrain

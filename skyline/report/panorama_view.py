@@ -34,14 +34,12 @@ ROW_DEG = 120.0
 COLUMNS = 2265
 """Pixels across a row."""
 _NOTHING_DEG = -90.0
-"""Skyline of a column that sees no terrain."""
+"""Elevation of the skyline in a column that sees no terrain."""
 
 
 @dataclass(frozen=True, slots=True)
 class PanoramaConfig:
-    """The view that a panorama shows.
-
-    By default it is the full turn from north.
+    """The view of a panorama; by default a full turn from north.
 
     Attributes
     ----------
@@ -126,9 +124,9 @@ def row_count(fov_deg: float) -> int:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Landscape:
-    """The terrain that one eye sees.
+    """The terrain that one eye sees: P points in C columns.
 
-    It has P points in C columns of azimuth. The points of a column go outwards.
+    The points of a column go outwards.
     """
 
     terrain: HeightField
@@ -205,9 +203,9 @@ class Landscape:
         return np.repeat(np.arange(len(self.azimuth_deg)), np.diff(self.begins))
 
     def seen(self, columns: slice, elevation_deg: Float64Array) -> Int64Array:
-        """Return which points (E, K) are seen at angles (E,).
+        """Return the points (E, K) seen at angles (E,) in K columns.
 
-        The second axis has K columns. The index P stands for sky.
+        The index P stands for sky.
         """
         begins = self.begins[columns.start : columns.stop + 1]
         seen = np.full((len(begins) - 1, len(elevation_deg)), len(self.distance_m))
@@ -217,11 +215,11 @@ class Landscape:
         return seen.T
 
     def ridges(self) -> tuple[Float64Array, Float32Array]:
-        """Return the distances (R,) and the ridges (R, C) of ranges.
+        """Return R distances, and the ridges (R, C) between them.
 
         A range begins at its distance and ends where the next begins; ten of them double the
-        distance. A ridge is the elevation angle of a range's highest point; NaN where the range has
-        none.
+        distance. A ridge is the elevation angle of the highest point in a range; NaN where the
+        range has none.
         """
         a_doubling = 10
         first_m = float(self.distance_m.min(initial=np.inf))

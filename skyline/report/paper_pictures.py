@@ -58,7 +58,7 @@ def save_depth_pictures(
 
 
 def check_depth_folder(folder: Path, count: int, labels: Sequence[str] = ()) -> None:
-    """Check that depth images would replace no files but earlier ones.
+    """Check that depth images would replace only earlier depth images.
 
     Raises `InputError` as `check_folder`, and for a file that would be replaced.
     """
@@ -77,7 +77,7 @@ def check_depth_folder(folder: Path, count: int, labels: Sequence[str] = ()) -> 
 
 
 def _stem(index: int, labels: Sequence[str]) -> str:
-    """Return how the names of a viewpoint's files begin."""
+    """Return the beginning of the names of a viewpoint's files."""
     label = re.sub(r"[^\w.-]+", "-", labels[index]) if labels else ""
     return f"{index:04d}{label and '_'}{label}"
 

@@ -1,4 +1,4 @@
-"""Posteriors of photos as files: a GeoTIFF of a photo's, or outlines of several photos'."""
+"""Posteriors as files: a GeoTIFF for one photo, or outlines for several."""
 
 import json
 from collections.abc import Iterable, Sequence
@@ -17,7 +17,7 @@ from skyline.match.posterior import SHARES, Posterior
 RASTERS = (".tif", ".tiff")
 """Suffixes of files that hold the posterior of one photo."""
 POSTERIOR_FILES = (*RASTERS, *GEOJSON, ".kml")
-"""Suffixes of posteriors."""
+"""Suffixes of all files of posteriors."""
 _DECIMALS = 6
 """Decimals of degrees in files: a tenth of a metre."""
 _COLOURS = {0.5: "b03030e0", 0.8: "803080f0", 0.95: "5030d0f0"}
@@ -28,7 +28,7 @@ Json = dict[str, Any]
 def write_posteriors(
     paths: Sequence[str | Path], posteriors: Iterable[tuple[str, Posterior]]
 ) -> None:
-    """Write the posteriors of photos, each as one kind of file.
+    """Write the posteriors of photos to files of one or more kinds.
 
     Parameters
     ----------
@@ -37,12 +37,12 @@ def write_posteriors(
         outlines of the smallest areas that hold 50, 80 and 95 % of the probability. Missing folders
         are made.
     posteriors : iterable of (str, Posterior)
-        With the file of each photo. They may be made one by one: none is kept.
+        The file of each photo with its posterior. They may be made one by one: none is kept.
 
     Raises
     ------
     InputError
-        A suffix is not known, there are several photos for a GeoTIFF, or a file cannot be written.
+        A suffix is unknown, there are several photos for a GeoTIFF, or a file cannot be written.
     """
     kinds = {Path(path): suffix_of(path, POSTERIOR_FILES) for path in paths}
     rasters = [path for path, kind in kinds.items() if kind in RASTERS]
@@ -108,7 +108,7 @@ def _kml(features: Sequence[Json]) -> bytes:
         percent = f"{about['share'] * 100:.0f}"
         mark = Xml.SubElement(document, "Placemark")
         Xml.SubElement(mark, "name").text = f"{Path(about['photo']).name}: {percent} %"
-        text = f"Taken in here with a probability of {percent} %; {about['area_km2']:.3g} km²"
+        text = f"Taken in this area with a probability of {percent} %; {about['area_km2']:.3g} km²"
         Xml.SubElement(mark, "description").text = text
         Xml.SubElement(mark, "styleUrl").text = f"#held{percent}"
         shapes = Xml.SubElement(mark, "MultiGeometry")

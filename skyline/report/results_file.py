@@ -76,13 +76,13 @@ class ResultsFile:
     Attributes
     ----------
     photos : dict
-        The error of each photo that could not be used, and None for the others. A key identifies a
-        photo and its own settings.
+        The error of each photo that could not be used, and None for the other photos. A key
+        identifies a photo and its own settings.
 
     Raises
     ------
     BusyError
-        Another process has the file in use.
+        Another process is using the file.
     InputError
         The suffix is unknown, the file holds other data or the results of another search, or it
         cannot be written.
@@ -117,7 +117,7 @@ class ResultsFile:
     def add(self, row: Row, photo: str) -> None:
         """Write a photo's row, unless the file has one.
 
-        It is on the disk when this returns, and is kept whatever happens afterwards.
+        When this returns, the row is on the disk, and is kept whatever happens afterwards.
         """
         if photo in self.photos:
             return
@@ -140,7 +140,7 @@ class ResultsFile:
 
 @contextmanager
 def _alone(path: Path) -> Iterator[None]:
-    """Keep other processes from writing a file; raises `BusyError` while one does."""
+    """Keep other processes from writing a file; raise `BusyError` if one does."""
     target = Path(os.path.realpath(path))
     lock = target.with_name(f".{target.name}.lock")
     file = lock_file(lock)
@@ -186,7 +186,7 @@ def _read_csv(path: Path) -> list[_Known]:
     whole = held[: held.rfind(b"\n") + 1] or header
     rows = csv.DictReader(io.StringIO(whole.decode()), restkey=_SURPLUS, restval="")
     if rows.fieldnames != list(_COLUMN_TYPES) or not (b"\n" in held or header.startswith(held)):
-        raise InputError(f"--results {path} is no file of results; name another one")
+        raise InputError(f"--results {path} is not a file of results; name another one")
     if whole != held:
         path.write_bytes(whole)
     known: list[_Known] = []
@@ -243,4 +243,4 @@ def _connection(path: Path) -> sqlite3.Connection:
 
 
 RESULTS = {".csv": (_read_csv, _append_csv), ".gpkg": (_read_points, _append_point)}
-"""Functions of files of results, by suffix: read what is known of rows, and append one."""
+"""Functions by suffix that read what is known of rows, and that append a row."""

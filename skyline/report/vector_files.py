@@ -1,4 +1,4 @@
-"""Shapes of photos on the map, and shapes of the map in photos, as files."""
+"""Files of a photo's shapes on the map, and the reverse."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -25,7 +25,7 @@ _DEGREES = 7
 _METRES = 2
 _PIXELS = 2
 _NAMES = ("name", "label", "category", "id")
-"""Properties that name a shape, the first that is there."""
+"""Properties that may name a shape; the first one present counts."""
 Json = dict[str, Any]
 
 
@@ -34,8 +34,8 @@ def write_on_map(path: Path, shapes: Sequence[GroundShape], frame: Frame, photo:
 
     Coordinates are longitudes, latitudes (WGS 84) and elevations. The errors of the drawn vertices
     of lines and polygons are the property ``vertices`` of GeoJSON, and the layer of that name in a
-    GeoPackage; KML has errors of points alone. Raises `InputError` for another suffix, for a file
-    that cannot be written, and for a GeoPackage without GeoPandas.
+    GeoPackage; KML has only the errors of points. Raises `InputError` for another suffix, for a
+    file that cannot be written, and for a GeoPackage without GeoPandas.
     """
     suffix = suffix_of(path, MAP_FILES)
     features = [_on_map(one, frame, photo) for one in shapes]
@@ -53,9 +53,9 @@ def write_in_photo(
 ) -> None:
     """Write shapes of the map in a photo's pixels, as GeoJSON.
 
-    Each part within the photo is a feature, whose property ``hidden`` says whether ground stands
-    before it. The member ``photo`` has the photo's name and size. Raises `InputError` where the
-    file cannot be written.
+    Each part within the photo is a feature, whose property ``hidden`` says whether ground hides it.
+    The member ``photo`` has the photo's name and size. Raises `InputError` where the file cannot be
+    written.
     """
     size = {"width_px": skyline.width_px, "height_px": skyline.height_px}
     features = [
@@ -148,7 +148,7 @@ def _errors(points: GroundPoints, index: int, frame: Frame) -> Json:
 
 
 def _coordinates(points: GroundPoints, frame: Frame) -> Float64Array:
-    """Return longitudes, latitudes and elevations (N, 3); across the antimeridian they go on."""
+    """Return continuous longitudes, latitudes and elevations (N, 3)."""
     lon, lat = frame.to_lonlat(points.easting_m, points.northing_m)
     places = [np.unwrap(lon, period=360.0), lat, np.round(points.elevation_m, _METRES)]
     return np.stack([*np.round(places[:2], _DEGREES), places[2]], axis=1)

@@ -67,11 +67,11 @@ def check_store(
     ----------
     path : path-like
     limit_s : float, optional
-        Processor time after which HDF5 is taken to hang; by default a minute and a second for each
-        megabyte. Checking reads at least 30 MB a second on one core of 2020. Time by the clock
-        would depend on how busy the machine is.
+        Processor time after which HDF5 is taken to hang; by default a minute, and a second for each
+        megabyte. One core of 2020 checks at least 30 MB a second. Wall-clock time would depend on
+        how busy the machine is.
     examiner : sequence of str
-        The command that examines the store: it is given the path, and prints the report as JSON.
+        The command that examines the store: it takes the path, and prints the report as JSON.
 
     Raises
     ------
@@ -125,9 +125,9 @@ def examine(path: Path) -> StoreReport:
 
 
 def whole_rows(store: Store) -> Iterator[tuple[Columns, Damage | None]]:
-    """Yield each block's rows that have their checksums, and the damage.
+    """Yield each block's rows that match their checksums, and the damage.
 
-    A block with a chunk that cannot be read is taken apart, and its other chunks are still read.
+    If one chunk of a block cannot be read, its other chunks are still read.
     """
     size = store.header.chunk_rows(len(store))
     for start in range(0, len(store), ROWS_AT_ONCE):
@@ -144,24 +144,24 @@ def whole_rows(store: Store) -> Iterator[tuple[Columns, Damage | None]]:
 
 
 def is_whole(store: Store) -> bool:
-    """Return whether all rows can be read and have their checksums."""
+    """Return whether all rows can be read and match their checksums."""
     return all(damage is None for _, damage in whole_rows(store))
 
 
 def _whole_rows_of(store: Store, start: int, stop: int) -> tuple[Columns, Damage | None]:
-    """Return the rows that have their checksums, and the others' damage."""
+    """Return the rows that match their checksums, and the others' damage."""
     columns = store.stored(slice(start, stop))
     same = row_checksums(columns) == columns[store.header.checksum]
     if same.all():
         return columns, None
     wrong = start + np.flatnonzero(~same)
-    what = f"{len(wrong)} rows from {wrong[0]} on do not have their checksums"
+    what = f"{len(wrong)} rows from {wrong[0]} on do not match their checksums"
     whole = {name: values[same] for name, values in columns.items()}
     return whole, Damage(what, int(wrong[0]), len(wrong))
 
 
 def _merged(found: list[Damage]) -> tuple[Damage, ...]:
-    """Join equal damage of successive chunks."""
+    """Join the equal damage of successive chunks."""
     merged: list[Damage] = []
     for damage in found:
         last = merged[-1] if merged else None

@@ -82,10 +82,10 @@ LOST = "places/lost"
 KeypointColumns = NDArray[np.uint16]
 
 Columns = Mapping[str, NDArray[Any]]
-"""N rows of several datasets, by the datasets' names, in the types in which they are stored."""
+"""N rows of several datasets by name, in the types in which they are stored."""
 
 _TOLERANCES = ("tolerance_px", "tolerance_deg")
-"""Settings of earlier releases, which could render skylines less exactly: by how much."""
+"""Settings of earlier releases: the tolerance to which they rendered skylines."""
 
 _SPECS: dict[str, dict[str, tuple[str, str, tuple[int, ...] | None]]] = {
     RENDERINGS: {
@@ -114,7 +114,7 @@ _SPECS: dict[str, dict[str, tuple[str, str, tuple[int, ...] | None]]] = {
 }
 _SPECS[BEGUN] = {"lost": (LOST, "<f8", None), **_SPECS[PLACES]}
 """By kind of rows: field of `Views` or `Places` -> dataset, type and shape of a row; None stands
-for the width (W,). Keypoints, lost shares and checksums are fields of neither."""
+for the width (W,). Keypoints, lost shares and checksums are not fields of either."""
 
 REBUILD = "copy or build it again"
 
@@ -196,7 +196,7 @@ class StoreHeader(ShortRepr):
 
     @property
     def specs(self) -> dict[str, np.dtype[Any]]:
-        """The type of a row, (W,) float32 for example, by dataset."""
+        """The type of a row by dataset, such as (W,) float32."""
         return {
             name: np.dtype((kind, (self.width,) if shape is None else shape))
             for name, kind, shape in _SPECS[self.holds].values()
@@ -232,7 +232,7 @@ class StoreHeader(ShortRepr):
         return replace(self, config=config)
 
     def covers(self, other: StoreHeader) -> bool:
-        """Return whether this store has all boxes of another one."""
+        """Return whether this store has all boxes of another."""
         held = self.boxes_deg
         wanted = other.boxes_deg
         return held is None or (wanted is not None and set(wanted) <= set(held))
@@ -254,7 +254,7 @@ class StoreHeader(ShortRepr):
     def read_dem(self, dem: Dem | None = None) -> HeightField:
         """Read the store's DEM, with the options of its build.
 
-        ``dem`` gives the DEM, or its files, where they are no longer at `dem_files`.
+        ``dem`` is the DEM or its files, if they are no longer at `dem_files`.
 
         Raises
         ------
@@ -295,8 +295,7 @@ def refuse_mismatch(
     """Raise `StoreMismatchError` unless rows of two headers may be in one store.
 
     Paths and releases may differ. The message begins with ``subject`` and ends with ``advice``, or
-    with what is to be done about rows that can no longer be made; ``words`` describe the two
-    headers in it.
+    with what to do about rows that can no longer be made; ``words`` describe the two headers in it.
     """
     compared: dict[str, tuple[object, object]] = {"kind of rows": (a.holds, b.holds)}
     if a.holds != b.holds:

@@ -17,7 +17,7 @@ from skyline.store.places import Places
 _Read = TypeVar("_Read")
 
 Offsets = dict[str, Int64Array]
-"""Byte in the file at which each chunk of a dataset begins, by the dataset's name."""
+"""Byte in the file at which each chunk begins, by dataset."""
 
 
 class PlaceMap:
@@ -26,9 +26,9 @@ class PlaceMap:
     It keeps the file open, so the store may be closed, replaced or removed. Pages that are read
     belong to the system's cache; the map itself takes 72 bytes for 1024 places.
 
-    The file's length is checked before each block and each batch of rows. A file that is cut short
-    while one of them is being read makes the system end the process (SIGBUS), as with any mapped
-    file. `skyline.store.write` replaces stores and never cuts one short.
+    The file's length is checked before each block and each batch of rows. If a file is truncated
+    while one of them is being read, the system ends the process (SIGBUS), as with any mapped file.
+    `skyline.store.write` replaces stores and never truncates one.
     """
 
     def __init__(self, path: Path, file: int, header: StoreHeader, places: int, at: Offsets):
@@ -65,8 +65,8 @@ class PlaceMap:
     def blocks(self, first: int = 0, stop: int | None = None) -> Iterator[Places]:
         """Yield all places in order, at most 1024 at a time.
 
-        The arrays are read-only and lie in the file: it is read when an array is, and no checksum
-        is compared (`take` does that, and `check_store` for the whole store).
+        The arrays are read-only and lie in the file, which is read when an array is. No checksum is
+        compared: `take` does that, and `check_store` for the whole store.
 
         Parameters
         ----------
@@ -91,7 +91,7 @@ class PlaceMap:
             yield Places(**fields)
 
     def phases(self, rows: IntArray) -> UInt8Array:
-        """Return copies of the phases (M, 180) of places that exist; no checksum is compared.
+        """Return copies of the phases (M, 180) of existing places, unchecked.
 
         Raises
         ------
@@ -102,7 +102,7 @@ class PlaceMap:
         return self._bytes_of(self._header.fields["phase"], rows)
 
     def take(self, rows: NDArray[np.integer[Any]]) -> Places:
-        """Return copies of places ``rows`` (M,) in order, compared with their checksums.
+        """Return copies of places (M,) in order, compared with their checksums.
 
         Raises
         ------
@@ -135,7 +135,7 @@ class PlaceMap:
         return Places(**taken)
 
     def _unverified(self, rows: IntArray) -> Places:
-        """Return copies of places (M,) that exist, as `blocks` does: no checksum is compared.
+        """Return copies of existing places (M,), without comparing checksums.
 
         Raises
         ------
@@ -152,7 +152,7 @@ class PlaceMap:
         return Places(**read)
 
     def _gathered(self, rows: IntArray) -> NDArray[np.void]:
-        """Return some places (M,), each by the names of its datasets; verified."""
+        """Return places (M,) by dataset, compared with their checksums."""
         bytes_of = [
             self._bytes_of(name, rows) for name in (*sorted(self._fields), self._header.checksum)
         ]
@@ -160,14 +160,14 @@ class PlaceMap:
         wrong = checksums_of_bytes(together) != bytes_of[-1].view("<u4")[:, 0]
         if wrong.any():
             raise StoreError(
-                f"store {self._path} is damaged: place {rows[wrong][0]} does not have its "
+                f"store {self._path} is damaged: place {rows[wrong][0]} does not match its "
                 "checksum; `skyline store check` lists all damage, `skyline store repair` "
                 "saves the whole rows"
             )
         return together.view(self._record)[:, 0]
 
     def _bytes_of(self, name: str, rows: IntArray) -> UInt8Array:
-        """Return a dataset's bytes (M, bytes of a row) of some rows."""
+        """Return the bytes of some rows of a dataset, (M, row)."""
         chunk, row = np.divmod(rows, self._size)
         found: UInt8Array = self._rows[name][
             self._at[name][chunk] + row * self._types[name].itemsize
@@ -183,7 +183,7 @@ class PlaceMap:
 
 
 class JoinedPlaces(PlaceMap):
-    """The places of several stores, in the order of the store that a merge would write.
+    """The places of several stores, in the order of a merged store.
 
     Nothing is copied to a file; the order takes 8 bytes a place.
 

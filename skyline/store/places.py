@@ -4,27 +4,27 @@ A place is an eye, its skyline all the way round, the skyline's distance, and th
 the eye within which it represents all other eyes. Places are rendered when a store is built and
 mapped when it is opened.
 
-A skyline's tangents y are held as rises from bin to bin, one signed byte k each:
+A skyline's tangents y are stored as rises from bin to bin, one signed byte k each:
 
 .. math::
 
     y_b = y_{b-1} + \mathrm{sgn}(k_b)\, a\, (e^{c |k_b|} - 1)
 
-A smooth skyline rises little, and small rises have small steps: 0.012 degrees where it is level,
-a thirtieth of the rise where it is steep. Each rise is taken from the sum of the bytes before it,
-so errors do not add up. A rise beyond the greatest, 0.5, is made up for in the bins
-that follow. Distances are bytes on a logarithmic scale.
+A smooth skyline rises little, and small rises have small steps: 0.012 degrees where it is level, a
+thirtieth of the rise where it is steep. Each rise is taken from the sum of the bytes before it, so
+errors do not add up. A rise greater than the greatest that a byte can hold, 0.5, continues in the
+bins that follow. Distances are bytes on a logarithmic scale.
 
 The first comparison of a search needs the rises d between the means of neighbouring runs of bins,
-as phases. A pitch hardly changes them, and a roll adds nearly the same to each. Two rises are alike
-by a bounded kernel,
+as phases. A pitch hardly changes them, and a roll adds nearly the same to each. A bounded kernel
+says how alike two rises are,
 
 .. math::
 
     k(d, d') = \cos(\omega (d - d')) = \mathrm{Re}\, e^{i \omega d} \overline{e^{i \omega d'}}
 
-so that a rise that is far off counts no more than one that is a little off, and the sum over many
-rises is a product of matrices. A phase takes a byte.
+so that a rise that is far off counts no more than one that is somewhat off, and the sum over many
+rises is a matrix product. A phase takes a byte.
 """
 
 from collections.abc import Iterator
@@ -51,12 +51,12 @@ PHASE_BINS = 180
 """Azimuth bins of a place's phases."""
 
 UNKNOWN_RISE = np.int8(-128)
-"""Code of a bin without a skyline; the next rise is taken from the last bin that has one."""
+"""Code of a bin without a skyline; the next rise counts from the last bin that has one."""
 
 RISE_SIZE = 0.006
-"""a of the formula."""
+"""The a of the formula."""
 RISE_GROWTH = 0.035
-"""c of the formula."""
+"""The c of the formula."""
 _MOST = 127
 _SIGNED = np.arange(256).astype(np.uint8).view(np.int8).astype(np.float64)
 _RISES = np.sign(_SIGNED) * RISE_SIZE * np.expm1(RISE_GROWTH * np.abs(_SIGNED))
@@ -125,8 +125,8 @@ def decode_rises(first: Float32Array, codes: Int8Array) -> Float32Array:
 def encode_distance(distance_m: Float32Array) -> UInt8Array:
     """Return codes (N, D) of the nearest distance in each bin.
 
-    Distances are (N, B); code 0 stands for no skyline. The nearest skyline moves most as the eye
-    does.
+    Distances are (N, B); code 0 stands for no skyline. The nearest skyline moves most when the eye
+    moves.
     """
     count, bins = distance_m.shape
     runs = distance_m.reshape(count, DISTANCE_BINS, bins // DISTANCE_BINS)
@@ -138,7 +138,7 @@ def encode_distance(distance_m: Float32Array) -> UInt8Array:
 def looked_up(codes: UInt8Array, table: NDArray[_Item]) -> NDArray[_Item]:
     """Return ``table[codes]`` for a table (256,) of 4- or 8-byte items.
 
-    OpenCV does this five times as fast as indexing does.
+    OpenCV does this five times as fast as indexing.
     """
     if not codes.size:
         return np.empty(codes.shape, dtype=table.dtype)

@@ -109,7 +109,7 @@ class Store:
     def digest(self) -> str:
         """SHA-256 of the DEM's digest, the settings and all rows' checksums, hexadecimal.
 
-        It does not depend on where the files lie, nor on the release or the renderer.
+        It does not depend on the files' paths, the release or the renderer.
         """
         about = {name: self.header.attributes[name] for name in ("dem_digest", "config", "rows")}
         sha = hashlib.sha256(json.dumps(about, sort_keys=True).encode())
@@ -122,7 +122,7 @@ class Store:
         Parameters
         ----------
         index : int, slice, integer or boolean array
-            Rows in the order wanted, as NumPy indexes; an int gives one view.
+            Rows in the wanted order, as for NumPy; an int gives one view.
 
         Raises
         ------
@@ -165,7 +165,7 @@ class Store:
         Raises
         ------
         InputError
-            A store of renderings.
+            The store holds renderings.
         StoreError
             Damaged data.
         """

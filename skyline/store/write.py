@@ -2,7 +2,7 @@
 
 A store is written once, from all of its rows, under a temporary name. It takes its own name when
 its bytes are on disk, and nothing is ever appended to it. So readers need no locks, and two
-processes that write the same store at once do no harm: either's file is the same.
+processes that write the same store at once do no harm: both write the same file.
 """
 
 import io
@@ -33,7 +33,7 @@ _LIBVER = ("v110", "v110")
 """Pinned, so that every release of HDF5 since 1.10 reads the file, and its bytes stay the same."""
 
 _ALIGNED = {"alignment_threshold": 1024, "alignment_interval": 64}
-"""Chunks of places begin at whole cache lines, for half a byte a place."""
+"""Chunks of places begin at whole cache lines; this costs half a byte a place."""
 
 
 def write_store(
@@ -46,8 +46,8 @@ def write_store(
 
     The same rows, order and header give the same bytes. Columns are as
     `skyline.store.layout.columns_of` returns them; ``order`` (N,) has the rows to write, by default
-    all. A store that already exists is replaced. Raises `MissingFileError` where there is no
-    folder for the file, and `StoreError` where it cannot be written.
+    all. An existing store is replaced. Raises `MissingFileError` if there is no folder for the
+    file, and `StoreError` if it cannot be written.
     """
     path = Path(path).resolve()
     _check_place(path)
@@ -79,7 +79,7 @@ def write_store(
 def check_store_path(path: Path) -> None:
     """Check the path of a store that is to be written.
 
-    Raises `InputError` for ``-`` and for the suffix of another format, `MissingFileError` where
+    Raises `InputError` for ``-`` and for the suffix of another format, and `MissingFileError` if
     there is no folder for it.
     """
     check_suffix(path, (".h5", ".hdf5"))

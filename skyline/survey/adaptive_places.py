@@ -1,7 +1,7 @@
 """Places that are dense where skylines are near, else sparse.
 
 The plan is a tree of nested lattices. Places of the coarsest lattice are rendered first. A place's
-skyline shows whether more places there would pay: save more views than as many in other squares.
+skyline shows whether more places there would save more views than as many places in other squares.
 Where they would, the next lattice, twice as dense, is filled in. Every rendered place is kept. Each
 block of the map is planned on its own, and the result depends neither on the process that plans a
 block nor on the order.
@@ -46,8 +46,8 @@ class PriceSample:
     least: int = 64
     """Number of viewpoints that must stand on the surface."""
     most_tries: int = 256
-    """Greatest number of samples that are tried for them: in the elevation model of an island,
-    nearly all locations may be holes."""
+    """Greatest number of samples tried to find them: in the elevation model of an island, nearly
+    all locations may be holes."""
 
 
 _NESTING = Nesting()
@@ -123,7 +123,7 @@ class Prices:
         return self._limit(lambda level: float(self._lost[rows, level].mean()) > loss)
 
     def of_number(self, number: int) -> float:
-        """Return the price of a plan of about so many places."""
+        """Return the price of a plan of about this many places."""
         return self._limit(lambda level: self._surface_m2 * _DENSITY[level].mean() < number)
 
     def places(self, price: float) -> int:
@@ -151,8 +151,8 @@ class Prices:
 def spread_over(terrain: HeightField, area: Rectangle) -> tuple[Viewpoints, float]:
     """Return viewpoints spread evenly over an area, and its surface (m2).
 
-    There are some 64 to 512, always the same ones; fewer where less than 0.05 % of the area has a
-    surface. Raises `InputError` where none of 131,072 locations has one.
+    There are about 64 to 512 of them, always the same; fewer if less than 0.05 % of the area has a
+    surface. Raises `InputError` if none of 131,072 locations has one.
     """
     # The sequence of the plastic number (Roberts 2018) fills a square evenly, however long it is.
     step = np.array([0.7548776662466927, 0.5698402909980532])

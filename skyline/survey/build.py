@@ -170,26 +170,27 @@ def build_store(
     count = _Count(progress, kept, rows_an_eye(header.holds) * sum(sizes))
     write = partial(_write_jobs, folder, part_size)
     renderer = plan.opened(terrain) if runner is None and left else None
-    with nullcontext() if renderer is None else renderer:
-        started = time.perf_counter()
-        written: list[Path] = []
-        rendered = 0
-        try:
+    started = time.perf_counter()
+    written: list[Path] = []
+    rendered = 0
+    try:
+        # The renderer's memory is free again before the parts are merged.
+        with nullcontext() if renderer is None else renderer:
             if runner is not None:
                 written, rendered = _on_workers(runner, header, plan, write, left, count)
             elif renderer is not None:
                 written, rendered = write(renderer, left, count.add)
-            count.end()
-            rows = _merge_parts([*parts, *written], path)
-        except (SkylineError, FileNotFoundError):
-            # Another process may have built the same store meanwhile, and removed its parts.
-            if not path.exists() or not (finished := finished_store(path, header)):
-                raise
-            rows = finished.rows
-        finally:
-            with suppress(OSError):  # Both are empty if the first part could not be written.
-                folder.path.rmdir()
-                folder.path.parent.rmdir()
+        count.end()
+        rows = _merge_parts([*parts, *written], path)
+    except (SkylineError, FileNotFoundError):
+        # Another process may have built the same store meanwhile, and removed its parts.
+        if not path.exists() or not (finished := finished_store(path, header)):
+            raise
+        rows = finished.rows
+    finally:
+        with suppress(OSError):  # Both are empty if the first part could not be written.
+            folder.path.rmdir()
+            folder.path.parent.rmdir()
     _remove(folder.path)
     if not rows:
         raise _empty(header)

@@ -1,7 +1,7 @@
 """Independent jobs on a dask.distributed cluster (extra ``cluster``): processes or machines.
 
-Jobs are few and long. The cluster runs each on any worker, and again if the worker dies or the job
-fails, and returns its result or its error.
+Jobs are few and long. The cluster runs each job on any worker, runs it again if the worker dies or
+the job fails, and returns its result or its error.
 """
 
 import logging
@@ -11,6 +11,7 @@ from collections.abc import Callable, Hashable, Iterator, Sequence
 from concurrent.futures import CancelledError, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 from importlib import import_module
 from queue import SimpleQueue
 from typing import Any, Generic, Protocol, TypeVar
@@ -23,14 +24,14 @@ _IGNORE_CTRL_C = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"
 _LOG = "from skyline.errors import start_logging; start_logging()"
 
 _NO_TRIMMING = {"distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": None}
-"""Dask lets its workers give memory back to the system at once. Arrays are then allocated anew each
-time, and screening and fits take 2.5 times the processor time."""
+"""Drops the setting by which Dask makes its workers return memory to the system at once. With it,
+arrays are allocated anew each time, and screening and fits take 2.5 times the processor time."""
 
 _log = logging.getLogger(__name__)
 
 
 class Tool(Protocol):
-    """What a run's jobs work with: a renderer or a matcher."""
+    """The renderer or the matcher with which a run's jobs work."""
 
     def close(self) -> None:
         """Free its memory."""
@@ -41,12 +42,12 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 Tell = Callable[..., object]
-"""Called by a job with numbers or texts, which reach the process that waits for the job."""
+"""Called by a job with numbers or texts for the process that waits for the job."""
 
 
 @dataclass(frozen=True, slots=True)
 class Opening(Generic[K]):
-    """Describes the tool of a run, for workers; it can be pickled."""
+    """Describes the tool of a run for workers; can be pickled."""
 
     key: Hashable
     """Equal for two openings of the same tool."""
@@ -56,7 +57,8 @@ class Opening(Generic[K]):
 class Bench:
     """A worker's thread for jobs, and the tool that they left open.
 
-    One thread does all jobs: dask may run tasks on several, which would wait for one another.
+    One thread does all jobs: dask may run tasks in several threads, which would wait for one
+    another.
     """
 
     def __init__(self) -> None:
@@ -131,14 +133,20 @@ class Runner:
     def ask(self, work: Callable[[K, T, Tell], R], opening: Opening[K], item: T, worker: int) -> R:
         """Return what a worker answers about one item; any thread may ask.
 
-        Of n workers the one with the number ``worker`` modulo n is asked, and any other if that one
-        dies. Raises what the job raises, or `BuildError`; see `__call__`.
+        The worker with the number ``worker`` modulo the number of workers is asked; if it dies, any
+        other. Raises what the job raises, or `BuildError`; see `__call__`.
         """
         addresses = self._addresses()
-        workers = [addresses[worker % len(addresses)]] if addresses else None
-        answer = _outcome(
-            self._submit(work, opening, item, None, f"ask-{uuid4().hex}", workers=workers)
-        )
+        asked = addresses[worker % len(addresses)] if addresses else None
+        submit = partial(self._submit, work, opening, item, None)
+        future = submit(f"ask-{uuid4().hex}", workers=asked)
+        while asked is not None and _is_pending(future):
+            # If no other worker is there when this one dies, dask gives its job to no later one.
+            if asked not in self._addresses():
+                future.cancel()
+                asked = None
+                future = submit(f"ask-{uuid4().hex}")
+        answer = _outcome(future)
         if isinstance(answer, SkylineError):
             raise answer
         found: R = answer
@@ -159,7 +167,7 @@ class Runner:
         item: T,
         topic: str | None,
         key: str,
-        workers: Sequence[str] | None = None,
+        workers: str | None = None,
     ) -> Any:
         """Submit a job; return its future."""
         with warnings.catch_warnings():
@@ -180,11 +188,11 @@ class Runner:
 def runner_of(workers: str | None) -> Iterator[Runner | None]:
     """Yield a `Runner` on new processes or an existing cluster.
 
-    The runner is None if ``workers`` is None. What dask sends is pickled, both ways: connect only
-    to a scheduler that you trust.
+    The runner is None if ``workers`` is None. Dask pickles what it sends in both directions:
+    connect only to a scheduler that you trust.
 
-    Raises `InputError` for fewer than one worker, where nothing answers at the address, or where
-    dask is not installed.
+    Raises `InputError` for fewer than one worker, if nothing answers at the address, or if dask is
+    not installed.
     """
     if workers is None:
         yield None
@@ -255,6 +263,13 @@ def _do_on_bench(
     # The worker keeps its bench. Of tasks that begin together, the first sets it for all.
     bench: Bench = vars(worker).setdefault("skyline_bench", Bench())
     return bench.do(work, opening, item, tell)
+
+
+def _is_pending(future: Any) -> bool:
+    """Wait for a job for a second, and return whether it is still pending."""
+    with suppress(TimeoutError):
+        _distributed().wait(future, timeout=1)
+    return not future.done()
 
 
 def _outcome(future: Any) -> Any:

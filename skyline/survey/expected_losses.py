@@ -1,9 +1,9 @@
 """The share of views that a search loses between places.
 
-Between places a view's skyline differs from theirs by an angle of about the spacing over the
-skyline's distance. The odds that a whole search, refinement included, then fails grow with a power
-of that ratio. `LossLaw` was fitted to searches for synthetic views, 60 degrees wide; docs/method.md
-has the terrain.
+Between places, a view's skyline differs from the places' skylines by an angle of about the spacing
+over the skyline's distance. The odds that a whole search, refinement included, then fails grow with
+a power of that ratio. `LossLaw` was fitted to searches for synthetic views, 60 degrees wide;
+docs/method.md has the terrain.
 """
 
 from dataclasses import dataclass
@@ -46,7 +46,7 @@ class LossLaw:
         return np.asarray(odds / (1.0 + odds), dtype=np.float64)
 
     def nearness(self, distance_m: Float32Array) -> Float64Array:
-        """Return views' mean inverse distances (N, 36), 1 / m, round places."""
+        """Return views' mean inverse distances round places, (N, 36), 1 / m."""
         # The nearest stretches of a skyline move most, so the mean is one of nearness.
         known_m = np.nan_to_num(distance_m.astype(np.float64), nan=self.farthest_m)
         nearness = 1.0 / np.clip(known_m, self.nearest_m, self.farthest_m)
@@ -65,8 +65,8 @@ _LAW = LossLaw()
 def lost_shares(distance_m: Float32Array, spacing_m: Float64Array) -> Float64Array:
     """Return expected shares (N, S) of lost views, by place and spacing.
 
-    The views are 60 degrees wide and begin at 0, 10, 20, ... degrees. ``distance_m`` (N, B) is of
-    the skylines all the way round; NaN where there is no data.
+    The views are 60 degrees wide and begin at 0, 10, 20, ... degrees. ``distance_m`` (N, B) are the
+    distances of skylines all the way round; NaN where there is no data.
     """
     nearness = _LAW.nearness(distance_m)
     return np.asarray(_LAW.lost(nearness[:, np.newaxis], spacing_m[:, np.newaxis]).mean(axis=2))
@@ -76,7 +76,7 @@ def expected_finds(source: PlaceSource) -> list[tuple[float, float, float]]:
     """Return the share of views a search should find, by skyline distance.
 
     Each class has its least skyline distance (harmonic mean, metres), its share of all views, and
-    the share of its views that is expected to be found. Of very many places every n-th is read.
+    the share of its views that is expected to be found. Among very many places, every n-th is read.
     """
     every = len(source) // _LAW.most_places + 1
     places = source.take(np.arange(0, len(source), every, dtype=np.intp))

@@ -1,8 +1,8 @@
 """Rendering the jobs of a build, and writing parts every few seconds.
 
-A part is a store of its own, with the rows of one job or of several in a row. A job that takes
-longer has begun parts: the rows it has rendered so far, in its order. When the job runs again it
-calls for the same viewpoints, and those rows stand in for its first renderings.
+A part is a small store with the rows of one job or of several successive ones. A job that takes
+longer has begun parts: the rows it has rendered so far, in its order. When the job runs again, it
+asks for the same viewpoints, and gets those rows in place of its first renderings.
 """
 
 import re
@@ -37,8 +37,8 @@ class PartSize:
     """How much work a part holds before it is written."""
 
     seconds: float = 2.5
-    """Time of rendering, after which a part is written when the rendering in hand is done. Writing
-    and merging a part takes twelve milliseconds, half a percent of the default."""
+    """Time of rendering after which a part is written, as soon as the current rendering is done.
+    Writing and merging a part takes twelve milliseconds, half a percent of the default."""
     most_bytes: int = 1 << 28
     """Greatest size of the rows that wait in memory, however fast they are rendered."""
 
@@ -50,7 +50,7 @@ class PartsFolder:
     path: Path
     holds: str
     jobs: int
-    """Number of the build's jobs, which are numbered from 1."""
+    """Number of the build's jobs, which count from 1."""
 
     def part(self, first: int, last: int) -> Path:
         """Return the path of a part with jobs: ``places-00003-00005-of-00037.h5``."""
@@ -83,19 +83,19 @@ class JobWriter:
         self.written: list[Path] = []
         """The parts of finished jobs."""
         self.rendered = 0
-        """The number of their rows that were rendered here, and not taken from begun parts."""
+        """The number of their rows that were rendered here rather than taken from begun parts."""
         self._renderer = renderer
         self._folder = folder
         self._size = size
         self._tell = tell
         self._finished: dict[int, Columns] = {}
-        """The rows of finished jobs that follow each other, and that no part has yet."""
+        """The rows of successive finished jobs that no part has yet."""
         self._job = 0
-        """The job in hand."""
+        """The current job."""
         self._row = 0
-        """The number of its rows that lie in begun parts."""
+        """The number of the current job's rows in begun parts."""
         self._begun: Columns = {}
-        """The rows in begun parts that the job has not called for yet."""
+        """The rows in begun parts that the job has not asked for yet."""
         self._rendered: list[Columns] = []
         """The rows of the job that no part has yet."""
         self._restart()

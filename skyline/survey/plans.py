@@ -34,8 +34,8 @@ DEFAULT_PLACES = 100_000
 """Default number of places, which two cores without a GPU render in half a minute."""
 
 DEFAULT_LOSSES = (0.05, 0.2)
-"""Least and greatest share of views that a default plan loses. A small area gets so few places that
-it loses the first share; a large area gets so many that it loses no more than the second."""
+"""Least and greatest share of views that a default plan loses. A small area gets only as many
+places as lose the first share; a large area gets enough to lose no more than the second."""
 
 _KEYPOINT_TOLERANCE_PX = 1.0
 """Greatest distance of a skyline from the polyline whose vertices are its keypoints."""
@@ -49,12 +49,12 @@ Look = Callable[[Viewpoints], Columns]
 
 @dataclass(frozen=True, slots=True)
 class JobSize:
-    """Numbers of viewpoints into which the work of a plan is cut."""
+    """How many viewpoints each piece of a plan's work has."""
 
     whole: int
     """Viewpoints of a job, which one worker renders: some seconds of work without a GPU."""
     at_once: int
-    """Viewpoints that are rendered at once, between which parts can be written: up to a second of
+    """Viewpoints that are rendered at once, after which a part can be written: up to a second of
     work without a GPU. With fewer, each takes longer: 16 % with 64 places, 25 % with 36."""
 
 
@@ -72,11 +72,10 @@ class JobRenderer(Closeable):
     at_once: int
     """The number of viewpoints that ``look`` is called with."""
     rows: Callable[[Any, Look], Columns]
-    """Returns the store's rows for a job. Its arguments are the job and a function that stands in
-    for ``look``. However often it runs, it calls that function with the same viewpoints in the same
-    order."""
+    """Returns the store's rows for a job. Its arguments are the job and a function to use in place
+    of ``look``. Every run calls that function with the same viewpoints in the same order."""
     expected: int = 0
-    """About how many rows the jobs of the plan render; 0 where each job is given as viewpoints."""
+    """About how many rows the jobs of the plan render; 0 if each job is given as viewpoints."""
 
     def close(self) -> None:
         """Free the renderer's memory on the GPU."""
@@ -117,7 +116,8 @@ class PlacePlan:
     def jobs(self, terrain: HeightField) -> list[Viewpoints] | list[tuple[int, int]]:
         """Return the jobs: viewpoints to render, or blocks to plan.
 
-        Raises `InputError` for bounds or a spacing that suit no grid, and for no places.
+        Raises `InputError` for bounds or a spacing that do not allow a grid, and if there are no
+        places.
         """
         area = _area_to_build(terrain, self.bounds_deg)
         if self.spacing_m is not None:
@@ -182,7 +182,7 @@ class RenderingPlan:
     """Description of the viewpoints, for the header."""
     config: RenderConfig = field(default_factory=RenderConfig)
     job_size: JobSize = JobSize(1024, 64)
-    """Changes no byte of the store."""
+    """Does not change a byte of the store."""
 
     @classmethod
     def given(cls, viewpoints: Viewpoints, config: RenderConfig) -> Self:
@@ -231,7 +231,7 @@ Plan = PlacePlan | RenderingPlan
 def _at_once(renderer: ColumnRenderer, size: JobSize) -> int:
     """Return how many viewpoints are rendered at once.
 
-    Where each rendering loads the terrain anew, they are all viewpoints of a job.
+    If each rendering loads the terrain anew, these are all viewpoints of a job.
     """
     return size.at_once if renderer.is_resident else size.whole
 
@@ -311,7 +311,7 @@ def _area_to_build(field: HeightField, bounds_deg: Bounds | None) -> Rectangle:
         # than the DEM.
         if share < 0.9:
             _log.warning(
-                "the DEM covers %.0f %% of the bounds, and the store will have that part alone; "
+                "the DEM covers %.0f %% of the bounds, and the store will have only that part; "
                 "give a DEM of all of them",
                 100.0 * share,
             )

@@ -55,8 +55,8 @@ class Crossed:
 def cross_photos(task: CrossTask, listener: Listener) -> Crossed:
     """Return where the rays through pixels of photos cross.
 
-    Raises `InputError` where photos, poses and pixels are not as many, a photo or its pose cannot
-    be read, or the rays have no crossing.
+    Raises `InputError` if there are not as many poses and pixels as photos, a photo or its pose
+    cannot be read, or the rays do not cross.
     """
     counts = {len(task.photos), len(task.poses), len(task.pixels)}
     if len(counts) > 1:

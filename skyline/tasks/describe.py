@@ -29,13 +29,13 @@ MEANINGS = {
         "dem_digest": "of the heights of its model",
     },
 }
-"""What facts say, in words, of each kind of file."""
+"""The meanings of facts, in words, for each kind of file."""
 
 
 def describe_terrain(field: HeightField) -> dict[str, object]:
-    """Return facts of an elevation model.
+    """Return facts about an elevation model.
 
-    They are its files, its grid, its frame, and what was mended in it.
+    They are its files, its grid, its frame, and its repairs.
     """
     west, south, east, north = field.bounds_m
     turn_deg = field.frame.convergence_deg(
@@ -61,7 +61,7 @@ def describe_terrain(field: HeightField) -> dict[str, object]:
 
 
 def describe_store(path: str) -> dict[str, object]:
-    """Return facts of a store.
+    """Return facts about a store.
 
     They are its rows, its DEM and its settings. Raises as `open_store`.
     """

@@ -1,4 +1,4 @@
-"""Vectors of a photo laid on the map, and vectors of the map drawn into a photo."""
+"""A photo's vectors on the map, and the map's in a photo."""
 
 import math
 from collections.abc import Sequence
@@ -26,7 +26,7 @@ from skyline.view import Viewer
 PHOTO_FILES = tuple(dict.fromkeys([*GEOJSON, *LABEL_FILES]))
 """Suffixes of shapes in a photo: in its pixels, or drawn on it."""
 _MOST_LINES = 20
-"""Shapes of which a line is printed."""
+"""Most shapes for which a line is printed."""
 DRAWN_FILES = tuple(dict.fromkeys([*MAP_FILES, *PHOTO_FILES]))
 
 
@@ -38,7 +38,7 @@ class DrawTask:
     pose: Path
     """File of the pose."""
     vectors: Path
-    """Of the photo, or of the map."""
+    """Vectors of the photo, or of the map."""
     dem: Sequence[str]
     """Elevation files, or folders of them."""
     crs: str | None = None
@@ -46,7 +46,7 @@ class DrawTask:
     output: Path
     """File of the kinds of `MAP_FILES` for vectors of the photo, else of `PHOTO_FILES`."""
     in_pixels: bool = False
-    """Whether GeoJSON that does not say so is in pixels."""
+    """Whether GeoJSON is in pixels even if it does not say so."""
     errors: GroundErrors = GroundErrors()  # noqa: RUF009  (it is frozen)
     projection: Projection | None = None
     """By default from the photo."""
@@ -55,9 +55,9 @@ class DrawTask:
 def draw_vectors(task: DrawTask, listener: Listener) -> list[str]:
     """Write a photo's vectors on the map, or the map's in the photo.
 
-    Returns lines on what is written. Raises `InputError` for an output of another kind, for vectors
-    or a pose that do not belong to the photo, for vertices in the sky, and where nothing of the map
-    is in the photo; and as `read_vectors` and `read_pose`.
+    Returns lines about it. Raises `InputError` for an output of another kind, for vectors or a pose
+    that do not belong to the photo, for vertices in the sky, and if nothing of the map is in the
+    photo; and as `read_vectors` and `read_pose`.
     """
     suffix = suffix_of(task.output, DRAWN_FILES)
     names = dem_names(task.dem)
@@ -87,21 +87,21 @@ def draw_vectors(task: DrawTask, listener: Listener) -> list[str]:
 
 
 def _check_kind(task: DrawTask, vectors: Vectors, suffix: str) -> None:
-    """Raise `InputError` for an output that vectors of this kind do not become."""
+    """Raise `InputError` for an output that does not suit the vectors."""
     known = MAP_FILES if vectors.in_pixels else PHOTO_FILES
     if suffix not in known:
         whose, goes = ("photo", "onto the map") if vectors.in_pixels else ("map", "into the photo")
         other = "" if vectors.in_pixels else ", or give --pixels if they are of the photo"
         raise InputError(
-            f"{task.vectors} has vectors of the {whose}, which go {goes}, and {task.output} is no "
-            f"such file; name a file with the suffix {', '.join(known)}{other}"
+            f"{task.vectors} has vectors of the {whose}, which go {goes}, but {task.output} is "
+            f"another kind of file; name a file with the suffix {', '.join(known)}{other}"
         )
 
 
 def _into_photo(
     task: DrawTask, vectors: Vectors, view: GroundView, picture: Photo, suffix: str
 ) -> list[str]:
-    """Write vectors of the map in the photo; return lines on it."""
+    """Write vectors of the map in the photo; return lines about it."""
     photo = picture.blank
     shapes = [in_photo(view, shape, view.terrain.frame) for shape in vectors.shapes]
     parts = [one.parts(photo.width_px, photo.height_px) for one in shapes]
@@ -130,7 +130,7 @@ def _counted(number: int) -> str:
 
 
 def _lines(found: Sequence[GroundShape]) -> list[str]:
-    """Return a line on each of a few shapes, one on jumps, and one on grazing views."""
+    """Return lines on a few shapes, on jumps and on grazing views."""
     lines = [f"  {one.shape.where}: {_in_words(one)}" for one in found[:_MOST_LINES]]
     if len(found) > _MOST_LINES:
         lines.append(f"  and {len(found) - _MOST_LINES} more")
@@ -147,7 +147,7 @@ def _lines(found: Sequence[GroundShape]) -> list[str]:
 
 
 def _jumping(where: str, jump: Jump, number: int) -> str:
-    """Say that shapes jump, and where one of them does."""
+    """Say how many shapes jump, and where one of them does."""
     return (
         f"jump{'s' if number == 1 else ''} over an edge, {where} from {jump.near_m:.0f} to "
         f"{jump.far_m:.0f} m away at column {jump.column_px:.0f}, row {jump.row_px:.0f}: the model "
@@ -175,7 +175,7 @@ def _with_error(measure: Measure) -> str:
 
 
 def _rounded(value: float, error: float | None = None) -> str:
-    """Return a number rounded to two digits, or to two digits of its error."""
+    """Return a number rounded to two digits of itself or its error."""
     size = abs(value if error is None else error)
     decimals = 1 - math.floor(math.log10(size)) if size > 0.0 else 2
     return f"{round(value, decimals):.{max(decimals, 0)}f}"

@@ -1,7 +1,4 @@
-"""The terrain that a skyline depends on, and its error.
-
-The error is due to terrain that is left out.
-"""
+"""The terrain on which a skyline depends, and the rest's error."""
 
 import numpy as np
 
@@ -22,11 +19,11 @@ MEANINGS = {
     "curvature_bound_px": "greatest error if the Earth's curvature, which is included, were left "
     "out",
 }
-"""What facts say, in words."""
+"""The meanings of facts, in words."""
 
 
 def explain_skyline(terrain: HeightField, eye: Viewpoints) -> dict[str, object]:
-    """Return facts of one viewpoint's skyline.
+    """Return facts about one viewpoint's skyline.
 
     They are the terrain that is modelled, the terrain that is left out, and the resulting error.
     """

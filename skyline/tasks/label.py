@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 LABEL_FILES = {".png": "png", ".jpg": "jpeg", ".jpeg": "jpeg", ".svg": "svg", ".json": "json"}
 """Kinds of files by suffix."""
 _MOST_NAMES = 20
-"""Names that a line gives of the peaks that are missing for one reason."""
+"""Most names in a line on peaks that are missing for one reason."""
 _COLUMNS = ("name", "column_px", "row_px", "distance_m", "elevation_m")
 _BODY_COLUMNS = ("name", "column_px", "row_px", "azimuth_deg", "elevation_deg", "is_hidden")
 
@@ -46,37 +46,37 @@ class LabelTask:
     crs: str | None = None
     """CRS of elevation files that name none."""
     peaks: Path | None
-    """Gazetteer; None draws the sun and the moon alone."""
+    """Gazetteer; None draws only the sun and the moon."""
     output: Path
-    """Copy with names, of the kinds of `LABEL_FILES`."""
+    """The copy with names, of a kind in `LABEL_FILES`."""
     at: CameraAt = CameraAt()  # noqa: RUF009  (it is frozen)
     pose: Path | None = None
     """File of the pose, in place of a position."""
     fov_deg: float | None = None
     """By default from the photo."""
     projection: Projection | None = None
-    """By default that of the pose, else of the photo."""
+    """By default from the pose, else from the photo."""
     ridges: bool = False
     """Whether the skyline of the elevation model is drawn, too."""
     time: datetime | None = None
-    """When the photo was taken, to draw the sun and the moon; UTC."""
+    """When the photo was taken (UTC), to draw the sun and the moon."""
 
 
 @dataclass(frozen=True, slots=True)
 class _HeldCamera:
-    """The camera of a photo, as it is known or was found."""
+    """The camera of a photo, given or found."""
 
     pose: Pose
     confidence: float | None = None
-    """Probability that its heading is right; None where that is not doubted."""
+    """Probability that its heading is right; None if that is not doubted."""
 
 
 def label_photo(task: LabelTask, listener: Listener) -> list[str]:
     """Write the names of a photo's summits on a copy of it.
 
-    Returns what the copy shows, and why each other peak is missing, in lines. Raises `InputError`
-    where the file's kind is not known, the photo, the pose or the peaks cannot be read, or the
-    camera's direction is not sure; `OffMapError` for a position off the map.
+    Returns lines on what the copy shows, and why other peaks are missing. Raises `InputError` if
+    the file's kind is unknown, the photo, the pose or the peaks cannot be read, or the camera's
+    direction is not sure, and `OffMapError` for a position off the map.
     """
     suffix_of(task.output, LABEL_FILES)
     if task.pose is not None and (task.at != CameraAt() or task.fov_deg is not None):
@@ -86,7 +86,7 @@ def label_photo(task: LabelTask, listener: Listener) -> list[str]:
         )
     if task.peaks is None and task.time is None:
         raise InputError(
-            "nothing is to be named; give the summits as --peaks FILE, or the photo's --time for "
+            "there is nothing to name; give the summits as --peaks FILE, or the photo's --time for "
             "the sun and the moon"
         )
     check_outputs([task.output], [task.photo, *filter(None, [task.pose, task.peaks])])
@@ -134,7 +134,7 @@ def _camera_of(
     viewer: Viewer,
     listener: Listener,
 ) -> _HeldCamera:
-    """Return the camera in the noted pose, else in the one that fits.
+    """Return the camera in the given pose, or in the fitted one.
 
     Raises `InputError` if the pose that fits is more likely wrong than right.
     """
@@ -145,8 +145,8 @@ def _camera_of(
         found = orienter.orient(photo, name=str(task.photo), heading_deg=task.at.heading_deg)
     if found.likely is None:
         raise InputError(
-            f"{task.photo}: the camera's direction is not sure ({found.refusal}); say about where "
-            "it looked with --heading and --heading-slack, or its pose with --pose"
+            f"{task.photo}: the camera's direction is not sure ({found.refusal}); say roughly "
+            "where it looked with --heading and --heading-slack, or its pose with --pose"
         )
     for line in found.to_text().splitlines():
         listener.note(line)
@@ -156,7 +156,7 @@ def _camera_of(
 def _bodies(
     task: LabelTask, pose: Pose, photo: PhotoSkyline, viewer: Viewer, listener: Listener
 ) -> list[SeenBody]:
-    """Return the sun and the moon in a photo; a note says where the others are."""
+    """Return the sun and the moon in a photo, noting any outside."""
     if task.time is None:
         return []
     found = viewer.bodies(pose, photo, task.time)
@@ -178,7 +178,7 @@ def _write(
     bodies: list[SeenBody],
     viewer: Viewer,
 ) -> "UnnamedPeaks":
-    """Write the file; return the peaks in view without their names."""
+    """Write the file; return the peaks in view left unnamed."""
     from skyline.report.labels import UnnamedPeaks  # noqa: PLC0415  (slow to load)
     from skyline.report.overlay import draw_labels  # noqa: PLC0415
 

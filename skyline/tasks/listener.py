@@ -1,4 +1,4 @@
-"""What a task shows while it works, to whoever has started it."""
+"""What a task shows while it works, to whoever started it."""
 
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
@@ -20,7 +20,7 @@ class Listener(Protocol):
         """
 
     def remark(self, text: str) -> None:
-        """Receive a line that belongs beside the results; raises as `result`."""
+        """Receive a line that belongs with the results; raises as `result`."""
 
     def note(self, message: str) -> None:
         """Receive a line about the course of the work."""
@@ -37,5 +37,5 @@ class Listener(Protocol):
     def keeps(self, advice: str, is_kept: Callable[[], bool] = ...) -> None:
         """Receive the advice for a person who stops the task.
 
-        It is given only if ``is_kept()`` is true then.
+        It is shown only if ``is_kept()`` is true then.
         """

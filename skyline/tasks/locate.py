@@ -39,17 +39,17 @@ class LocateTask:
     peaks: Path | None = None
     """Gazetteer of the page."""
     exports: Sequence[Path] = ()
-    """Files of the candidates, as of `MatchTask`."""
+    """Files of the candidates, as in `MatchTask`."""
     probability: Sequence[Path] = ()
-    """Files of the posteriors, as of `MatchTask`."""
+    """Files of the posteriors, as in `MatchTask`."""
 
 
 def locate_photos(task: LocateTask, listener: Listener) -> int:
     """Find where photos were taken, and show the results.
 
     The photos or the user name the area. Returns the exit code as `match_photos`. Raises
-    `InputError` if no photo can be read, the area is not known, or the DEM does not suit it, and
-    `FetchError` where a server fails.
+    `InputError` if no photo can be read, the area is unknown, or the DEM does not cover it, and
+    `FetchError` if a server fails.
     """
     if task.dem and task.source:
         raise InputError(
@@ -96,7 +96,7 @@ def locate_photos(task: LocateTask, listener: Listener) -> int:
 def serving_command(area: Path, photos: Sequence[str]) -> str:
     """Return the command that serves the page with photos of an area.
 
-    Of very many photos it names the first ones.
+    If there are very many photos, it names the first ones.
     """
     home = f"{Path.home()}{os.sep}"
     # A report may be shown to others, whom the name of a home is not to be told.
@@ -109,7 +109,7 @@ def serving_command(area: Path, photos: Sequence[str]) -> str:
 def _within(entry: Entry, given: Narrowing, area: Narrowing) -> Entry:
     """Return a photo whose search is narrowed to the area.
 
-    A circle to which a list narrows the search stays.
+    A circle from a list of photos stays.
     """
     own = entry.narrowing
     near = area.near if own.near == given.near else own.near

@@ -1,13 +1,15 @@
 """Matching photos, showing their results and writing them to files.
 
-Results are shown as they come; the files have all of them. A search that was stopped goes on if it
-has a file of results.
+Results are shown as they come; the files have all of them. A search that was stopped continues if
+it has a file of results.
 """
 
+import math
 import time
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
+from datetime import datetime
 from itertools import takewhile
 from pathlib import Path
 from typing import TypeVar
@@ -30,6 +32,7 @@ from skyline.match.method import MATCHERS
 from skyline.match.posterior import Posterior
 from skyline.match.result import JointResult, MatchResult
 from skyline.match.spread import distant_shards, opening_of
+from skyline.match.walk import check_times
 from skyline.peaks import Peaks, read_peaks
 from skyline.photo.image import EXPECTED
 from skyline.photo.skyline import PhotoSkyline
@@ -39,12 +42,12 @@ from skyline.report.folder import check_report_folder
 from skyline.report.posterior_files import POSTERIOR_FILES, RASTERS, write_posteriors
 from skyline.report.results_file import ResultsFile
 from skyline.store.read import is_store
-from skyline.survey.cluster import runner_of
+from skyline.survey.cluster import Runner, runner_of
 from skyline.tasks.listener import Listener
 from skyline.terrain.dem_files import dem_names
 
 PAGE_PORT = 8765
-"""Port at which `skyline serve` serves its page by default."""
+"""The default port of `skyline serve`."""
 UNREFINED = "unrefined"
 """The full matcher without its last step."""
 
@@ -52,7 +55,7 @@ T = TypeVar("T")
 
 
 def matcher_names() -> list[str]:
-    """Return the names of all matchers, those of other packages too."""
+    """Return the names of all matchers, including those of other packages."""
     return [*names_of(MATCHERS), UNREFINED]
 
 
@@ -61,7 +64,7 @@ class MatchTask:
     """Photos to find, stores to search, and files to write."""
 
     stores: tuple[Path, ...]
-    """They are searched as one."""
+    """Stores that are searched as one."""
     entries: Sequence[Entry]
     """The photos."""
     common: Entry = Entry("")  # noqa: RUF009  (it is frozen)
@@ -71,15 +74,15 @@ class MatchTask:
     matcher: str = FULL
     """``unrefined``, or as for `Matcher`."""
     dem: Sequence[str] = ()
-    """Elevation files of the stores, or folders of them; by default those that they name."""
+    """Elevation files of the stores, or folders of them; by default the files that the stores
+    name."""
     surface: Sequence[str] = ()
     """Files of a surface or canopy model, or folders of them."""
     same_place: bool = False
     """Whether all photos were taken at one place."""
     workers: str | None = None
-    """As for `runner_of`."""
-    split: bool = False
-    """Whether all workers search for each photo, each in a part of the places."""
+    """As for `runner_of`. A photo is a job; where the full matcher has fewer photos than workers,
+    all workers search for each photo, each in a part of the places."""
     report: Path | None = None
     """Folder of a page with pictures and maps."""
     peaks: Path | None = None
@@ -88,6 +91,8 @@ class MatchTask:
     """Files of the candidates, of the kinds of `EXPORTS`."""
     probability: Sequence[Path] = ()
     """Files of the posteriors, of the kinds of `POSTERIOR_FILES`."""
+    walked_km_h: float | None = None
+    """Greatest speed of the person who took all photos, whose posteriors are then joined."""
     serve: str = ""
     """Command that serves the page with the photos; the report names it."""
     results: Path | None = None
@@ -95,7 +100,7 @@ class MatchTask:
 
     @property
     def others(self) -> list[Path]:
-        """Files that need all results, and not only rows."""
+        """Files that need whole results, not only rows."""
         return [*self.exports, *self.probability, *filter(None, [self.report])]
 
     @property
@@ -110,7 +115,7 @@ class MatchTask:
     def search(self) -> str:
         """Return a digest of the stores and the options.
 
-        It differs between searches that may have different answers.
+        It differs between searches that may give different answers.
         """
         surfaces = dem_names(self.surface)
         files = [(Path(one).name, *_written(one)) for one in (*map(str, self.stores), *surfaces)]
@@ -119,7 +124,7 @@ class MatchTask:
     def check(self) -> None:
         """Check the options and the outputs.
 
-        Raises `InputError` for options that do not suit each other, and for wrong outputs.
+        Raises `InputError` for options that contradict each other, and for wrong outputs.
         """
         entry_named("matcher", self.matcher, dict.fromkeys(matcher_names()))
         names_stores = ", ".join(map(str, self.stores))
@@ -128,7 +133,7 @@ class MatchTask:
             (not self.entries, f"{names_stores} are stores; name photos to find in them"),
             (
                 self.common.narrowing.use_gps and self.matcher == UNREFINED,
-                f"--use-gps acts in refinement; {no_refinement}",
+                f"--use-gps works in refinement; {no_refinement}",
             ),
             (
                 self.same_place and self.matcher != FULL,
@@ -138,15 +143,23 @@ class MatchTask:
                 self.same_place and self.results,
                 "--same-place gives one answer, not one row per photo; leave --results out",
             ),
-            (self.split and not self.workers, "--split is for workers; give --workers too"),
             (
                 self.same_place and self.workers,
                 "--same-place matches in this process; leave --workers out",
             ),
             (
                 self.probability and self.matcher not in (FULL, UNREFINED),
-                f"--probability takes what the full matcher knows; leave --matcher {self.matcher} "
-                "out",
+                f"--probability needs the full matcher; leave --matcher {self.matcher} out",
+            ),
+            (
+                self.walked_km_h is not None
+                and (not self.probability or self.same_place or len(self.entries) < 2),
+                "--walked joins the maps of --probability FILE of two photos or more that were "
+                "taken on one walk; name them, and leave --same-place out",
+            ),
+            (
+                self.walked_km_h is not None and not 0.0 < self.walked_km_h < math.inf,
+                f"--walked is {self.walked_km_h} km/h; expected a speed above 0",
             ),
         ):
             if is_wrong:
@@ -156,7 +169,7 @@ class MatchTask:
     def check_files(self) -> None:
         """Check the outputs.
 
-        Raises `InputError` for outputs that would replace inputs, or whose kind is not known.
+        Raises `InputError` for outputs that would replace inputs, or whose kind is unknown.
         """
         named = [Path(one.path) for one in self.entries]
         inputs = [*self.stores, *self.inputs, *named, *filter(None, [self.peaks])]
@@ -203,9 +216,9 @@ def split_stores(first: Path, others: Sequence[Path]) -> tuple[tuple[Path, ...],
 def match_photos(task: MatchTask, listener: Listener) -> int:
     """Match photos, show each result as it comes, and write the files.
 
-    Returns the exit code of the last error, or 0. Raises `InputError` as `MatchTask.check`, for a
-    gazetteer or a DEM that cannot be read, and `StoreError` for such a store; the errors of a photo
-    are shown, and do not end the others.
+    Returns the exit code of the last error, or 0. Raises `InputError` as `MatchTask.check`, and for
+    a gazetteer or a DEM that cannot be read, and `StoreError` for a store that cannot be read; the
+    error of a photo is shown, and does not stop the others.
     """
     task.check()
     with (
@@ -229,10 +242,11 @@ class _Run:
         self._file = file
         self._loading_s = 0.0
         self._joint: JointResult | None = None
+        self._times: dict[str, datetime] = {}
         self.exit_code = 0
 
     def match(self) -> None:
-        """Match the photos that were not matched before, and write the files."""
+        """Match the photos without results, and write the files."""
         task = self._task
         known = self._matched_before()
         # These checks come before the store is opened, which may take a minute.
@@ -247,6 +261,9 @@ class _Run:
         if not usable:
             self._show_each(known, refused, iter(()), lambda *_: None)
             return
+        if task.walked_km_h is not None:
+            self._times = {one.path: one.taken() for one in usable}
+            check_times(list(self._times.values()))
         matcher = self._opened()
         gazetteer = None if task.peaks is None else read_peaks(task.peaks, matcher.frame)
         done = f"{matcher.rows} {matcher.holds} were searched."
@@ -262,17 +279,24 @@ class _Run:
             ):
                 progress(0, len(usable))
                 each = match_here(matcher, usable)
-                if runner is not None and task.split:
+                if runner is not None and self._is_split(len(usable), runner):
                     opening = opening_of(task.stores, dem_names(task.dem) or None)
                     rows = [area.rows for area in matcher.areas]
                     shards = distant_shards(runner, opening, rows)
                     # A worker has its next part at hand when it is done with one.
-                    matcher.search_by(shards, 2 * max(runner.workers, 1))
+                    matcher.search_by(shards, 2 * runner.workers)
                 elif runner is not None:
                     each = match_many(runner, task.opening, usable)
                 found = self._show_each(known, refused, each, progress)
         if found:
             self._write(found, matcher, gazetteer, done)
+
+    def _is_split(self, photos: int, runner: Runner) -> bool:
+        """Return whether all workers search for each photo.
+
+        With as many photos as workers, whole photos are done sooner: refinement is shared as well.
+        """
+        return photos < runner.workers and self._task.matcher in (FULL, UNREFINED)
 
     def _matched_before(self) -> dict[Entry, str | None]:
         """Return the photos that need not be matched, with their errors.
@@ -302,7 +326,7 @@ class _Run:
     def _attempted(
         self, doing: str, entries: Sequence[Entry], attempt: Callable[[Entry], T]
     ) -> tuple[list[tuple[Entry, T]], dict[Entry, SkylineError]]:
-        """Attempt something with photos; return the results and the errors.
+        """Try something with photos; return the results and the errors.
 
         Errors are also shown at once.
         """
@@ -336,8 +360,8 @@ class _Run:
     def _opened(self) -> Matcher:
         """Open the matcher.
 
-        Raises `InputError` if a file of results would keep answers that lack refinement, and for
-        the report of stores of several DEMs.
+        Raises `InputError` if a file of results would keep unrefined answers, and for a report on
+        stores of several DEMs.
         """
         task = self._task
         started = time.perf_counter()
@@ -436,7 +460,7 @@ class _Run:
     def _show(self, record: Mapping[str, object], text: str) -> None:
         """Show a result.
 
-        If nobody reads it, the task goes on only where files are written.
+        If nobody reads it, the task goes on only if files are written.
         """
         try:
             self._listener.result(record, text)
@@ -451,20 +475,29 @@ class _Run:
         gazetteer: Peaks | None,
         done: str,
     ) -> None:
-        """Write the exports and the report."""
+        """Write the exports, the report and the posteriors."""
         for path in self._task.exports:
             export_matches(path, found, [area.frame for area in matcher.areas])
+        if self._task.report is not None:
+            self._write_report(self._task.report, found, matcher, gazetteer, done)
         if self._task.probability:
+            # The last one, since photos that are of no one walk have none.
             self._write_posteriors(found if self._joint is None else [self._joint], matcher)
-        if self._task.report is None:
-            return
+
+    def _write_report(
+        self,
+        folder: Path,
+        found: list[MatchResult],
+        matcher: Matcher,
+        gazetteer: Peaks | None,
+        done: str,
+    ) -> None:
+        """Write the report's page and tell where it is."""
         from skyline.report.match_page import report_matches  # noqa: PLC0415  (slow to load)
 
         address = f"http://127.0.0.1:{PAGE_PORT}/"
         served = (self._task.serve, address) if self._task.serve else None
-        page = report_matches(
-            self._task.report, matcher, found, gazetteer, done=done, served=served
-        )
+        page = report_matches(folder, matcher, found, gazetteer, done=done, served=served)
         with suppress(BrokenPipeError):
             self._listener.remark(f"report: {page}")
 
@@ -472,15 +505,22 @@ class _Run:
         self, found: Sequence[MatchResult | JointResult], matcher: Matcher
     ) -> None:
         """Write the posterior of each photo, or the one of all photos of one place."""
+        named = [one.results[0] if isinstance(one, JointResult) else one for one in found]
+        names = [one.name for one in named]
         with self._listener.progress("mapping probabilities") as progress:
 
-            def posteriors() -> Iterator[tuple[str, Posterior]]:
+            def posteriors() -> Iterator[Posterior]:
+                if self._task.walked_km_h is not None:
+                    times = [self._times[name] for name in names]
+                    yield from matcher.joined_posteriors(
+                        found, times, self._task.walked_km_h, progress
+                    )
+                    return
                 for number, result in enumerate(found):
                     progress(number, len(found))
-                    first = result.results[0] if isinstance(result, JointResult) else result
-                    yield first.name, matcher.posterior(result)
+                    yield matcher.posterior(result)
 
-            write_posteriors(self._task.probability, posteriors())
+            write_posteriors(self._task.probability, zip(names, posteriors(), strict=True))
 
 
 def _of_photo(entry: Entry, error: SkylineError) -> str:
@@ -500,7 +540,7 @@ def _photo_of(entry: Entry) -> str:
 def _written(path: str | Path) -> tuple[object, ...]:
     """Return a file's size and time of modification.
 
-    Of standard input a digest is returned. The path is left out, since files may move.
+    For standard input it is a digest. The path is left out, since files may move.
     """
     if str(path) == STANDARD:
         return (digest_of(read_bytes(path, EXPECTED)),)

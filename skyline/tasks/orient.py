@@ -12,7 +12,7 @@ from skyline.terrain.heightfield import HeightField
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraAt:
-    """Known position and heading of cameras."""
+    """The known position and heading of cameras."""
 
     lonlat_deg: tuple[float, float] | None = None
     """By default each photo's own GPS position."""
@@ -22,7 +22,7 @@ class CameraAt:
     """Standard deviation of the position; by default 50 m, or `noted_position_sd_m` for a photo's
     own position."""
     heading_deg: tuple[float, float] | None = None
-    """Heading from true north, and its greatest error; by default they looked anywhere."""
+    """Heading from true north, and its greatest error; by default any heading is possible."""
 
     def __post_init__(self) -> None:
         if self.elevation_m is not None and self.lonlat_deg is None:
@@ -39,10 +39,7 @@ class CameraAt:
 def orient_photos(
     terrain: HeightField, entries: Iterable[Entry], at: CameraAt
 ) -> Iterator[Orientation | SkylineError]:
-    """Yield how the camera of each photo was held.
-
-    For a photo that cannot be used, its error is yielded.
-    """
+    """Yield how each photo's camera was held, or the photo's error."""
     with orienters(terrain) as orienter_at:
         for entry in entries:
             try:

@@ -28,11 +28,11 @@ from skyline.view import Viewer
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OrthoTask:
-    """Photos, their cameras' poses, and the files to write."""
+    """Photos, the poses of their cameras, and the files to write."""
 
     photos: Sequence[Path]
     poses: Sequence[Path]
-    """A file for each photo, or one that has a line for each."""
+    """A file for each photo, or one file with a line for each."""
     dem: Sequence[str]
     """Elevation files, or folders of them."""
     crs: str | None = None
@@ -40,7 +40,7 @@ class OrthoTask:
     output: Path
     """GeoTIFF of the colours."""
     pixel_lengths: Path | None = None
-    """GeoTIFF of the length of pixels on the ground."""
+    """GeoTIFF of the lengths of pixels on the ground."""
     resolution_m: float | None = None
     """Size of a cell; by default as the photos show it."""
     projection: Projection | None = None
@@ -48,10 +48,10 @@ class OrthoTask:
 
 
 def lay_photos(task: OrthoTask, listener: Listener) -> list[str]:
-    """Write photos as they lie on the ground; return lines on what is written.
+    """Write photos as they lie on the ground; return lines about it.
 
-    Raises `InputError` for outputs of another kind or in the folder of the DEM, for poses that are
-    not those of the photos, and as `grid_of`.
+    Raises `InputError` for outputs of another kind or in the folder of the DEM, for poses of other
+    photos, and as `grid_of`.
     """
     outputs = [task.output, *filter(None, [task.pixel_lengths])]
     for path in outputs:

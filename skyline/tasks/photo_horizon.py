@@ -27,7 +27,7 @@ class PhotoHorizonTask:
     pose: Path
     """File of the pose."""
     step_deg: float
-    """Between azimuths."""
+    """Step between azimuths."""
     curvature: Curvature
     projection: Projection | None = None
     """By default from the photo."""
@@ -36,10 +36,10 @@ class PhotoHorizonTask:
 def photo_horizon(
     task: PhotoHorizonTask, terrain: HeightField, listener: Listener
 ) -> LocalHorizons:
-    """Return the horizon of a photo's skyline, and of the terrain where the photo has none.
+    """Return the horizon of a photo, completed with the terrain's.
 
-    A note says how much of the turn the photo shows. Raises `InputError` where the photo or its
-    pose cannot be read, or no column of the skyline is trusted.
+    A note says how much of the turn the photo shows. Raises `InputError` if the photo or its pose
+    cannot be read, or no column of the skyline is trusted.
     """
     record = read_pose(task.pose, task.photo)
     photo = read_skyline(task.photo, projection=task.projection or record.projection)

@@ -29,16 +29,16 @@ class PixelsTask:
     output: Path
     """File of the kinds of `PIXEL_FILES`."""
     step: int = 1
-    """Every so many rows and columns are taken."""
+    """Distance of the rows and columns that are taken."""
     projection: Projection | None = None
-    """By default that of the pose, else of the photo."""
+    """By default from the pose, else from the photo."""
 
 
 def place_pixels(task: PixelsTask, listener: Listener) -> PixelPlaces:
     """Write the positions on the terrain that a photo's pixels show.
 
-    Raises `InputError` for an output that is a part of the DEM or of another kind, and where the
-    photo or its pose cannot be read.
+    Raises `InputError` for an output that is part of the DEM or of another kind, and if the photo
+    or its pose cannot be read.
     """
     suffix = suffix_of(task.output, PIXEL_FILES)
     names = dem_names(task.dem)

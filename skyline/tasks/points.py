@@ -32,7 +32,7 @@ class PointsTask:
     """CRS of elevation files that name none."""
     at: CameraAt = CameraAt()  # noqa: RUF009  (it is frozen)
     pose: Path | None = None
-    """File of a pose that is refined, in place of a position."""
+    """File of a pose to refine, in place of a position."""
     fov_deg: float | None = None
     """By default from the photo."""
     projection: Projection | None = None
@@ -43,10 +43,10 @@ class PointsTask:
 
 
 def orient_by_points(task: PointsTask, listener: Listener) -> PointsFit:
-    """Return the pose that control points give, and write the points with their residuals.
+    """Return the pose that control points give; write their residuals.
 
     Raises `InputError` for points or a pose of another photo, for too few points, without a place,
-    and for a residual file of another kind; `OffMapError` for a place or a point off the map.
+    and for a residual file of another kind, and `OffMapError` for a place or a point off the map.
     """
     if task.residuals is not None:
         check_suffix(task.residuals, POINT_FILES)

@@ -1,7 +1,4 @@
-"""Building stores of renderings.
-
-The viewpoints are given, on a uniform grid, or planned.
-"""
+"""Building stores of renderings at given, gridded or planned viewpoints."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -45,7 +42,7 @@ class RenderTask:
     spacing_m: float | None = None
     """Distance between the viewpoints of a uniform grid."""
     planner: str | None = None
-    """Name of a planner, of `skyline.paper.planners.PLANNERS`."""
+    """Name of a planner in `skyline.paper.planners.PLANNERS`."""
     coarse_m: float | None = None
     """Distance between the viewpoints that a planner renders first."""
     site_m: float | None = None
@@ -55,22 +52,22 @@ class RenderTask:
     coverage: float | None = None
     """Share of the sites to cover."""
     map: Path | None = None
-    """PNG of the viewpoints that a planner has chosen."""
+    """PNG with the viewpoints that a planner has chosen."""
     bounds_deg: Bounds | None = None
     """By default all of the DEM."""
     depth_images: Path | None = None
-    """Folder of depth images and pictures of them."""
+    """Folder for depth images and pictures of them."""
     workers: str | None = None
     """As for `runner_of`."""
     width: int = RenderConfig().width
     """Columns of a view."""
     refraction_k: float | None = None
-    """By default as usual in the terrain's world."""
+    """By default the usual value of the terrain's world."""
 
     def check(self) -> None:
         """Check the options and the outputs.
 
-        Raises `InputError` for options that do not suit each other, and for wrong outputs.
+        Raises `InputError` for options that contradict each other, and for wrong outputs.
         """
         if [self.viewpoints, self.spacing_m, self.planner].count(None) != 2:
             raise InputError("give one of --viewpoints FILE.csv, --spacing M and --planner NAME")
@@ -178,7 +175,7 @@ def render_planned(
 
 
 def advise_to_continue(store: Path, listener: Listener) -> None:
-    """Check a store's path, and give the advice for Ctrl-C.
+    """Check a store's path, and set the advice for Ctrl-C.
 
     After Ctrl-C, a build that has parts says that the same command continues.
     """
@@ -213,10 +210,7 @@ def _area_in_words(boxes_deg: Sequence[Bounds] | None) -> str:
 
 @contextmanager
 def build_bar(output: Path, rows: str, listener: Listener) -> Iterator[Progress]:
-    """Show the progress of a build.
-
-    A note comes first if an earlier build has left rows.
-    """
+    """Show a build's progress, after a note on an earlier build."""
     with listener.progress("rendering") as bar:
         is_first = True
 

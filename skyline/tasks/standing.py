@@ -31,7 +31,7 @@ def stand_with_notes(
 ) -> Viewpoints:
     """Place eyes at longitudes and latitudes.
 
-    A note names each eye that stands on a summit. Parameters and errors as `stand_at`.
+    A note names each eye that stands on a summit. Parameters and errors are as in `stand_at`.
     """
     lon, lat = np.transpose(positions)
     eyes = stand_at(
@@ -50,9 +50,9 @@ def stand_with_notes(
             )
         elif summit_within_m is None and stands_m[k] - surface_m[k] > 0.01:
             listener.note(
-                f"{position} is beside a summit of the model: the eye stands as high as it, "
-                f"{stands_m[k]:.0f} m, and not on its slope, {surface_m[k]:.0f} m (as "
-                "--summit-within 0 would have it)"
+                f"{position} is beside a summit of the model: the eye is lifted to its height, "
+                f"{stands_m[k]:.0f} m, from its slope at {surface_m[k]:.0f} m (--summit-within 0 "
+                "leaves it there)"
             )
     return eyes
 

@@ -25,7 +25,7 @@ from skyline.view import Viewer
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WhenTask:
-    """A photo with its pose, where it shows the sun or the moon, and what is known of the time."""
+    """A photo of sun, moon or shadow, and its day or time."""
 
     photo: Path
     pose: Path
@@ -35,17 +35,17 @@ class WhenTask:
     crs: str | None = None
     """CRS of elevation files that name none."""
     marked: tuple[Pixel, ...]
-    """The middle of a disc; or a shadow's tip and foot, and maybe the top of what casts it."""
+    """The middle of a disc; or a shadow's tip and foot, and perhaps the top of what casts it."""
     body: Body = Body.SUN
     known: date | datetime
-    """The day for which the time is asked; or the time for which the heading is asked."""
+    """The day whose time is wanted, or the time at which the heading is wanted."""
     projection: Projection | None = None
     """By default from the photo."""
 
 
 @dataclass(frozen=True, slots=True)
 class Told:
-    """What the sun or the moon tells of a photo: its times, or its heading.
+    """What sun or moon tells of a photo: times or a heading.
 
     Attributes
     ----------
@@ -66,10 +66,10 @@ class Told:
 
 
 def tell_when(task: WhenTask, listener: Listener) -> Told:
-    """Return the times of a day at which a photo was taken, or its heading at a time.
+    """Return when in a day a photo was taken, or its heading.
 
-    Raises `InputError` where the photo or its pose cannot be read, a pixel is of no use, or the
-    body does not stand there; `OffMapError` for a pose off the map.
+    Raises `InputError` if the photo or its pose cannot be read, a pixel cannot be used, or the body
+    does not stand there, and `OffMapError` for a pose off the map.
     """
     picture, noted = read_posed(task.photo, task.pose, task.projection)
     photo = picture.blank

@@ -45,7 +45,7 @@ class DataEdge:
     def of(cls, terrain: HeightField, curvature: Curvature) -> Self:
         """Return the edge of a DEM.
 
-        Beyond it, ranges are taken to go on as high as they are inside.
+        Ranges beyond it are assumed to be as high as inside.
         """
         cols = ceil(BAND_M / terrain.spacing_east_m)
         rows = ceil(BAND_M / terrain.spacing_north_m)
@@ -86,7 +86,7 @@ class DataEdge:
     def _leaving(
         self, easting_m: FloatArray, northing_m: FloatArray, azimuth_rad: FloatArray
     ) -> tuple[FloatArray, Float32Array]:
-        """Return the distances where rays leave the data, and heights beyond."""
+        """Return where rays leave the data, and the heights beyond."""
         west, south, east, north = self.bounds_m
         width_m = east - west
         length_m = north - south

@@ -1,6 +1,6 @@
 """Units, datums, axes and prime meridian of a raster of heights.
 
-Conventions that a file names are used; the others are assumed, with a warning where that matters.
+Conventions that a file names are used; others are assumed, with a warning where that matters.
 """
 
 import math
@@ -23,8 +23,8 @@ _UNSAID = {"", "no", "none", "unknown", "unspecified"}
 """Band units that name no unit; ``NO`` is ArcInfo's."""
 
 SAME_UNIT = 1e-4
-"""Units whose lengths differ by a smaller share are one: the feet of all surveys, and the German
-legal metre."""
+"""Units whose lengths differ by a smaller share are the same: the feet of all surveys, and the
+German legal metre."""
 
 _WORDS = {
     "ft": ["foot"],
@@ -38,7 +38,7 @@ _WORDS = {
     "international": [],
     "intl": [],
 }
-"""Words in the names of units, and the words that replace them: none for a word without meaning."""
+"""Words in the names of units and their replacements; none for a word without meaning."""
 
 _DATUM = re.compile(r"\(|\babove\b|a\.?m?\.?s\.?l\b|ü|\b(?:msl|navd|ngvd|nhn|nap|egm)")
 """Where the datum begins after a unit, as in ``m (NAVD88)`` and ``metres above sea level``."""
@@ -57,9 +57,9 @@ class Vertical:
     reference: str
     """`GEOID` or `ELLIPSOID`, from which heights are measured; empty if no datum is named."""
     assumed: str
-    """The surface from which heights are taken to be measured where no datum is named, in words."""
+    """The surface from which heights are assumed to be measured if no datum is named, in words."""
     notes: tuple[str, ...]
-    """Sentences on what was assumed, to be shown after the name of the file and a colon."""
+    """Sentences on what was assumed, to follow the name of the file and a colon."""
 
     @property
     def conventions(self) -> dict[str, str]:
@@ -70,7 +70,7 @@ class Vertical:
 
 
 def metres_per(unit: str) -> float | None:
-    """Return a length unit's metres, or None for an unknown name.
+    """Return the metres of a length unit, or None if unknown.
 
     The unit is one of PROJ or EPSG, in the spelling of GDAL, ESRI or CF.
     """
@@ -83,7 +83,7 @@ def metres_per(unit: str) -> float | None:
 
 @cache
 def _units() -> Mapping[frozenset[str], float]:
-    """Return the metres in PROJ's length units, by their names' words."""
+    """Return the metres of PROJ's length units by their names' words."""
     metres = {
         _key(name): unit.conv_factor
         for unit in get_units_map(category="linear").values()
@@ -154,7 +154,7 @@ def _figure_of(crs: CRS) -> str:
 
 
 def _datum_of(crs: CRS) -> tuple[str, str]:
-    """Return `Vertical.datum` and `Vertical.reference`; both empty if none is named."""
+    """Return `Vertical.datum` and `Vertical.reference`; empty if unnamed."""
     for part in crs.sub_crs_list:
         if part.is_vertical:
             name = str(part.name)

@@ -1,6 +1,6 @@
-"""Reading of elevation models, of files or in memory, as a `HeightField`.
+"""Reading elevation models, from files or memory, as a `HeightField`.
 
-Their samples are put on one grid, repaired, and warped to a metric frame if need be.
+Their samples are put on one grid, repaired, and warped to a metric frame if necessary.
 """
 
 from __future__ import annotations
@@ -36,17 +36,18 @@ def read_dem(dem: Dem, options: DemOptions | None = None) -> HeightField:
 
     Samples stand at pixel centres, as GDAL places the pixels. Spikes are removed and small voids
     filled on the files' own grid, before anything is resampled. A DEM in a metric CRS whose map is
-    true here (`skyline.geodesy.map_frame.Frame.untrue_deg`) keeps that grid. Any other, and one in
-    degrees or feet, or whose axes point south or west, is warped once to the transverse Mercator
-    frame centred on it, with every summit as high as it was (`skyline.terrain.resampling.Warp`);
-    samples of the box around it that lie outside the DEM are NaN and counted nowhere. Heights are
-    converted from the unit of the band, or of the CRS's vertical axis.
+    true here (`skyline.geodesy.map_frame.Frame.untrue_deg`) keeps that grid. Any other DEM, such as
+    one in degrees or feet, or whose axes point south or west, is warped once to the transverse
+    Mercator frame centred on it, with every summit as high as it was
+    (`skyline.terrain.resampling.Warp`); samples of the box around it that lie outside the DEM are
+    NaN and are not counted. Heights are converted from the unit of the band, or of the CRS's
+    vertical axis.
 
     Parameters
     ----------
     dem : path, paths, DataArray, open dataset or HeightField
-        Files: rasters of one band, and perhaps an alpha band, virtual rasters and STAC items among
-        them; folders and zip archives, which stand for the rasters in them; ``https://`` addresses
+        Files: rasters of one band, and perhaps an alpha band, including virtual rasters and STAC
+        items; folders and zip archives, which stand for the rasters in them; ``https://`` addresses
         of rasters; or GDAL names such as ``netcdf:topo.nc:dem``. Tiles share a CRS and a grid;
         where they overlap the first named gives the height; samples that none covers are holes.
 
@@ -66,18 +67,18 @@ def read_dem(dem: Dem, options: DemOptions | None = None) -> HeightField:
     -------
     HeightField
         float32 heights. Its provenance names the files, and counts their samples: filled and hollow
-        samples were voids or spikes. A DataArray has no file: a store that is built from it is
-        matched with ``Matcher(store, dem=field)``.
+        samples were voids or spikes. A DataArray has no file, so a store that is built from it is
+        opened with ``Matcher(store, dem=field)``.
 
     Raises
     ------
     MissingFileError
         There is no file at a path.
     InputError
-        A file is not a raster of one band, is damaged, or has a rotated grid or no height at all; a
-        DataArray has other dimensions, or missing or uneven coordinates; a dataset is closed; a CRS
-        is missing, not understood, or one that PROJ cannot transform; a unit is not one of length;
-        or tiles do not fit together.
+        A file is not a raster of one band, is damaged, or has a rotated grid or no heights at all;
+        a DataArray has other dimensions, or missing or uneven coordinates; a dataset is closed; a
+        CRS is missing, not understood, or one that PROJ cannot transform; a unit is not one of
+        length; or tiles do not fit together.
     FetchError
         A server has no such file, or does not answer.
     """

@@ -15,7 +15,7 @@ from skyline.errors import InputError, MissingFileError
 from skyline.files import files_in, for_gdal, is_file
 
 Paths = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
-"""Elevation files, folders or zip archives of them, addresses, or GDAL names: one or several."""
+"""One or several elevation files, folders or zip archives of them, addresses, or GDAL names."""
 
 
 def dem_names(paths: Paths) -> tuple[str, ...]:
@@ -29,7 +29,7 @@ def dem_names(paths: Paths) -> tuple[str, ...]:
     MissingFileError
         There is no such file, or a link in a folder leads nowhere.
     InputError
-        A path is no text, or not UTF-8; a folder or an archive cannot be read, has no elevation
+        A path is not text, or not UTF-8; a folder or an archive cannot be read, has no elevation
         files, or has a file that may be a tile but cannot be read.
     """
     is_one = isinstance(paths, str | bytes | os.PathLike | Mapping) or not np.iterable(paths)
@@ -54,8 +54,8 @@ def _names_of(given: Any) -> list[str]:
 def absolute_name(path: str | Path) -> str:
     """Return a path made absolute, alone or in a GDAL name.
 
-    Raises `MissingFileError` where there is no such file and the name is no address or GDAL name,
-    and `InputError` for a name that is not UTF-8.
+    Raises `MissingFileError` if there is no such file and the name is not an address or a GDAL
+    name, and `InputError` for a name that is not UTF-8.
     """
     text = str(path)
     if is_file(text):

@@ -1,8 +1,8 @@
 """The tiles among the files of a folder or a zip archive.
 
-GDAL says which files are rasters. Their sidecar files are passed over; files that hold no heights,
-such as texts and pictures, are left out with a warning. A file that may be a tile but cannot be
-read is an error, since a mountain may be in it.
+GDAL says which files are rasters. Their sidecar files are ignored; files without heights, such as
+texts and pictures, are left out with a warning. A file that may be a tile but cannot be read is an
+error, since a mountain may be in it.
 """
 
 import logging
@@ -108,7 +108,7 @@ def _members(file: Path) -> list[str]:
         with ZipFile(file) as archive:
             members = sorted(one.filename for one in archive.infolist() if not one.is_dir())
     except (OSError, BadZipFile) as error:
-        raise InputError(f"{file} is no zip archive ({error}); fetch it again") from error
+        raise InputError(f"{file} is not a zip archive ({error}); fetch it again") from error
     return [
         member_name(file, one)
         for one in members
@@ -143,7 +143,7 @@ def _raster_in(name: str, where: str) -> _Raster | None:
 def _raster_of(name: str, dataset: Any) -> _Raster | None:
     """Describe an open raster; None without samples, and for lists of points.
 
-    Raises `InputError` where a file has several rasters, and where bare samples are cut short.
+    Raises `InputError` if a file has several rasters, or if bare samples are truncated.
     """
     bands, _ = bands_of(dataset)
     if not bands:
@@ -177,8 +177,8 @@ def _raster_of(name: str, dataset: Any) -> _Raster | None:
 def _without_sidecars(rasters: Sequence[_Raster]) -> list[_Raster]:
     """Leave out rasters that belong to others, such as overviews and masks.
 
-    Where two rasters belong to each other, the first stays; where files of bare samples share a
-    header, the shortest stays.
+    If two rasters belong to each other, the first stays; if files of bare samples share a header,
+    the shortest stays.
     """
     files = {one.name: one.files for one in rasters}
     owned = {
@@ -242,7 +242,7 @@ def _stem(name: str) -> str:
 
 
 def _is_beside(name: str, stems: set[str]) -> bool:
-    """Return whether a file is named after a tile, as ``dem.prj``."""
+    """Return whether a file is named after a tile, such as ``dem.prj``."""
     path = PurePath(name)
     parts = path.name.split(".")
     return any(str(path.with_name(".".join(parts[:n]))) in stems for n in range(1, len(parts)))

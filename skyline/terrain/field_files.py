@@ -1,12 +1,12 @@
 """Files of height fields.
 
 Samples are mapped into memory, and read when they are first needed. A file begins with a line of
-JSON: the grid, the frame, the provenance, the warnings of the reading, and checksums. The line
-ends with its own checksum. Sections follow, each at a multiple of `_PAGE` bytes: the digest of the
+JSON: the grid, the frame, the provenance, the warnings of the reading, and checksums. The line ends
+with its own checksum. Sections follow, each at a multiple of `_PAGE` bytes: the digest of the
 field, if it is known; bounds of the heights by block; checksums of the blocks; the samples; and the
 source. The source is the repaired samples on the grid of the DEM's files. A file that has one may
 lack blocks, which are made from it when they are first needed, and stay in the file. Nothing in a
-file is believed before its checksum was compared.
+file is used before its checksum has been compared.
 """
 
 import json
@@ -50,12 +50,12 @@ SUFFIX = ".terrain"
 """The suffix of the files."""
 
 FORMAT = 3
-"""The number of the files' form, which changes with it."""
+"""The number of the files' format, which changes with the format."""
 
 _FORMAT = f"skyline terrain {FORMAT}"
 _PAGE = 4096
 _LONGEST_LINE = 1 << 26
-"""Bytes of a line of JSON, which has the names of all files."""
+"""Most bytes of the line of JSON, which has the names of all files."""
 _SUM_LENGTH = 8
 """Characters of a checksum in text."""
 _DIGEST_LENGTH = 64
@@ -183,8 +183,8 @@ def read_field(path: Path, fresh: MetricDem | None = None) -> HeightField:
     """Return the height field that `save_field` or `save_dem` wrote, to the bit.
 
     Samples are read when they are first needed. ``fresh`` is the DEM if it was written just now:
-    its source is at hand, and its warnings were logged. Raises `MissingFileError` where there is no
-    file, and `InputError` for any other file.
+    its source is in memory, and its warnings have been logged. Raises `MissingFileError` where
+    there is no file, and `InputError` for any other file.
     """
     try:
         with _opened(path) as file:
@@ -252,7 +252,7 @@ def _summed(content: bytes) -> bytes:
 
 
 def _believed(content: bytes) -> bytes:
-    """Return content without its checksum; `ValueError` unless it has it."""
+    """Return content without its checksum; `ValueError` if that is wrong."""
     believed = content[:-_SUM_LENGTH]
     if _summed(believed) != content:
         raise ValueError("another file, or a damaged one")
@@ -260,7 +260,7 @@ def _believed(content: bytes) -> bytes:
 
 
 def _digest_in(content: bytes) -> str:
-    """Return the digest in a file, empty where there is none."""
+    """Return the digest in a file; empty if there is none."""
     with suppress(ValueError):
         return _believed(content).decode()
     return ""

@@ -60,7 +60,7 @@ class HeightField:
     spacing_north_m : float
         Distance between neighbouring samples of a column.
     frame : Frame
-        The map, whose angles are true here (`skyline.geodesy.map_frame.Frame.untrue_deg`).
+        The map frame, whose angles are true here (`skyline.geodesy.map_frame.Frame.untrue_deg`).
     provenance : Provenance
         The files, and the treatment of their samples.
     """
@@ -121,7 +121,7 @@ class HeightField:
         object.__setattr__(self, "heights_m", heights)
 
     def __getattr__(self, name: str) -> Any:
-        """Return all heights where they are lazy."""
+        """Return all heights if they are lazy."""
         lazy = self.__dict__.get("_lazy")
         if name != "heights_m" or lazy is None:
             raise AttributeError(f"{type(self).__name__} has no attribute {name}")
@@ -240,7 +240,7 @@ class HeightField:
 
     @cached_property
     def height_range_m(self) -> tuple[float, float]:
-        """Lowest and highest sample; raises `InputError` where every sample is a hole."""
+        """Lowest and highest sample; raises `InputError` without any."""
         lazy = self._lazy_heights
         if lazy is not None:
             lowest, highest = lazy.range_m()
@@ -313,7 +313,7 @@ class HeightField:
         Raises
         ------
         InputError
-            Both pairs of coordinates are given, or half of one.
+            Both pairs of coordinates are given, or only half of one.
         """
         if lon is not None and lat is not None and easting_m is None and northing_m is None:
             easting_m, northing_m = self.frame.from_lonlat(

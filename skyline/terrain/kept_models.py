@@ -25,7 +25,7 @@ from skyline.terrain.metric_dem import MetricDem
 from skyline.terrain.provenance import DemOptions
 
 _OF_ITS_OWN = (".tif", ".tiff", ".hgt", ".asc", ".bil", ".flt", ".img")
-"""Endings of formats that refer to no files but those that begin with their own name."""
+"""Endings of formats that refer only to files whose names begin like their own."""
 
 _LEAST_SAMPLES = 1 << 20
 """The smallest model that is kept; smaller ones are read in a tenth of a second."""
@@ -40,7 +40,7 @@ _LIBRARIES = ("numpy", "pyproj", "rasterio", "scipy")
 """The libraries on which heights depend; GDAL and PROJ come with two of them."""
 
 _LEVEL_LOCK = threading.Lock()
-"""Held while the level of the terrain's logger may be another than its user's."""
+"""Held while the level of the terrain's logger may differ from the user's."""
 
 _log = logging.getLogger(__name__)
 
@@ -77,7 +77,7 @@ def _kept() -> list[tuple[os.stat_result, Path]]:
 def place_of(names: Sequence[str], options: DemOptions) -> Path | None:
     """Return where the model of some files is kept.
 
-    It is None for files that may change unnoticed.
+    Returns None for files that may change unnoticed.
     """
     beside: dict[Path, dict[str, list[Path]]] = {}
     files: list[Path] = []
@@ -110,7 +110,7 @@ def place_of(names: Sequence[str], options: DemOptions) -> Path | None:
 def _settings() -> list[tuple[str, str]]:
     """Return the environment's settings of GDAL and PROJ.
 
-    The places of certificates are left out, which rasterio sets as it is loaded.
+    The paths of certificates, which rasterio sets when it is loaded, are left out.
     """
     beginnings = ("CPL_", "GDAL_", "GTIFF_", "OSR_", "PROJ_")
     named = ((name, value) for name, value in os.environ.items() if name.startswith(beginnings))
@@ -118,7 +118,7 @@ def _settings() -> list[tuple[str, str]]:
 
 
 def _stands_alone(name: str) -> bool:
-    """Return whether a raster's heights depend on files of its own name alone."""
+    """Return whether a raster depends only on files of its own name."""
     is_known = name.lower().removesuffix(".gz").endswith(_OF_ITS_OWN)
     if not is_known or archive_of(name) or not is_file(name):
         return False
@@ -155,7 +155,7 @@ def kept_model(place: Path) -> HeightField | None:
 def keep_model(dem: MetricDem, place: Path, warnings: Sequence[LoggedWarning]) -> HeightField:
     """Keep a model that was read, and return it.
 
-    A small one, and one for which the disk has no room, stays in memory alone.
+    A small model, or one for which the disk has no room, stays only in memory.
     """
     if dem.grid.rows * dem.grid.cols < _LEAST_SAMPLES:
         return field_of(dem)
@@ -173,7 +173,7 @@ def keep_model(dem: MetricDem, place: Path, warnings: Sequence[LoggedWarning]) -
 def _has_room(folder: Path, dem: MetricDem) -> bool:
     """Make room for another model, and return whether there is any.
 
-    The models that were used longest ago are removed.
+    The least recently used models are removed.
     """
     samples = dem.grid.rows * dem.grid.cols
     if dem.source is not None:
@@ -193,10 +193,10 @@ def _has_room(folder: Path, dem: MetricDem) -> bool:
 
 @contextmanager
 def noted_warnings() -> Iterator[list[LoggedWarning]]:
-    """Collect the warnings that this thread logs about terrain in the block.
+    """Collect the warnings that this thread logs about terrain.
 
     They are collected even if they are not shown, since a later run may show them. Other threads
-    wait for the end of the block: the level of a logger is the whole process's.
+    wait for the end of the block, since the level of a logger holds for the whole process.
     """
     noted: list[LoggedWarning] = []
     thread = threading.get_ident()

@@ -1,7 +1,7 @@
 """Heights that are made block by block, when they are first needed.
 
-A skyline sees a small part of a large model. The samples of a model that is warped are therefore
-made where someone looks, and kept in memory or in a file (`skyline.terrain.field_files`).
+A skyline shows a small part of a large model. The samples of a warped model are therefore made only
+where a skyline needs them, and kept in memory or in a file (`skyline.terrain.field_files`).
 """
 
 import errno
@@ -20,7 +20,7 @@ import numpy as np
 from skyline.arrays import BoolArray, Float32Array, Int64Array, UInt32Array
 
 _ROWS = 64
-"""Rows of a block: with `_COLS` few enough for a thread's cache while the block is made."""
+"""Rows of a block: with `_COLS`, few enough for a thread's cache while the block is made."""
 _COLS = 1024
 """Columns of a block."""
 _THREADS = 4
@@ -59,7 +59,7 @@ def checksum(samples: Float32Array) -> int:
 def bounds_of(heights_m: Float32Array) -> Float32Array:
     """Return the lowest and the highest height (2, R, C) of each block.
 
-    They are infinite where there is no height.
+    Infinite where a block has no height.
     """
     bounds = np.stack([reduced(one, heights_m, _ROWS, _COLS) for one in (np.fmin, np.fmax)])
     bounds[0][np.isnan(bounds[0])] = np.inf
@@ -81,13 +81,13 @@ def reduced(reduce: np.ufunc, values: Float32Array, rows: int, cols: int) -> Flo
 
 
 class Blocks:
-    """The samples of a grid in blocks, some of which are known.
+    """The samples of a grid in blocks, in memory or a file.
 
-    They are in memory or in a file.
+    Not all blocks need to be known.
     """
 
     def __init__(self, values: Float32Array) -> None:
-        """Take the array (rows, cols) of the samples, of which no block is known."""
+        """Take the samples (rows, cols); no block is known yet."""
         self.values = values
         self.is_known: BoolArray = np.zeros(block_counts(self._shape), dtype=np.bool_)
         """Which blocks (R, C) hold their samples; the others may hold anything."""
@@ -100,15 +100,15 @@ class Blocks:
 
     @classmethod
     def in_memory(cls, shape: Shape) -> "Blocks":
-        """Return a grid in memory, of which no block is known."""
+        """Return a grid in memory without known blocks."""
         return cls(np.empty(shape, dtype=np.float32))
 
     @classmethod
     def in_file(cls, file: BinaryIO, shape: Shape, offset: int, sums_offset: int) -> "Blocks":
         """Return the grid whose samples and checksums are at offsets of a file.
 
-        A block without a checksum has yet to be made. Any other is known once its checksum was
-        compared, so that a file whose writing was cut short gives no wrong height.
+        A block without a checksum has yet to be made. Any other is known once its checksum has been
+        compared, so a file whose writing was interrupted gives no wrong height.
         """
         blocks = cls(np.memmap(file, np.float32, "r", offset, shape))
         sums = os.pread(file.fileno(), blocks._sums.nbytes, sums_offset)
@@ -129,7 +129,7 @@ class Blocks:
     def put(self, down: int, right: int, samples: Float32Array) -> None:
         """Keep the samples of a block.
 
-        All samples go to memory once the file takes no more.
+        If the file takes no more, all samples move to memory.
         """
         with self._lock:
             if self._file is not None:
@@ -142,7 +142,7 @@ class Blocks:
             self.is_known[down, right] = True
 
     def note(self, offset: int, content: bytes) -> None:
-        """Write a note at an offset of the file, if there is one that takes it."""
+        """Write a note at an offset of the file, if possible."""
         if self._file is not None:
             with suppress(OSError):
                 write_at(self._file, offset, content)
@@ -159,7 +159,7 @@ class Blocks:
         self._sums[down, right] = total
 
     def _move_to_memory(self) -> None:
-        """Copy the blocks that the file holds; where it has none, a disk may give no page."""
+        """Copy the file's blocks; the others may have no page."""
         values = np.empty(self._shape, dtype=np.float32)
         for down, right in np.argwhere(self.is_known | (self._sums > 0)):
             block = block_slices(self._shape, down, right)
@@ -255,7 +255,7 @@ class LazyHeights:
         return self._extreme(0, 1.0), self._extreme(1, -1.0)
 
     def _extreme(self, which: int, sign: float) -> float:
-        """Return the least of the heights times a sign, times the sign."""
+        """Return the lowest height, or the highest for a sign of -1."""
         bounds = sign * self._bounds_m[which]
         least = np.inf
         # The blocks that may hold it come first; most others need not be made.
@@ -273,7 +273,7 @@ class LazyHeights:
         return list(itertools.product(down, right))
 
     def _ensure(self, wanted: list[tuple[int, int]]) -> None:
-        """Make the blocks that are lacking."""
+        """Make the missing blocks."""
         make = self._make  # Another thread may let it go once all blocks are made.
         missing = [at for at in wanted if self._blocks.lacks(*at)]
         if not missing:

@@ -1,6 +1,6 @@
 """Elevation models, repaired and in metres.
 
-A model is warped where its own map cannot be the frame.
+A model is warped if its own map cannot be the frame.
 """
 
 import logging
@@ -67,9 +67,9 @@ class MetricDem:
 def metric_dem(mosaic: "Mosaic", options: DemOptions) -> MetricDem:
     """Repair a DEM's heights, and warp them if they need it.
 
-    Heights are repaired on their files' own grid, and warped where its map cannot be the frame.
-    Warns where the DEM lies far off the area of its CRS, and where a projected map is not used.
-    Raises `InputError` where the DEM lies nowhere on Earth or has no height at all, and as
+    Heights are repaired on their files' own grid, and warped if its map cannot be the frame. Warns
+    if the DEM lies far off the area of its CRS, or if a projected map is not used. Raises
+    `InputError` if the DEM lies nowhere on Earth or has no heights at all, and as
     `skyline.terrain.resampling.Warp`.
     """
     crs = mosaic.crs
@@ -108,16 +108,16 @@ def metric_dem(mosaic: "Mosaic", options: DemOptions) -> MetricDem:
 def _centre(mosaic: "Mosaic") -> tuple[float, float, str]:
     """Return a DEM's middle in degrees, and its accuracy in words.
 
-    Warns where the middle lies far off the area of the CRS; raises `InputError` where it is no
-    place on its world.
+    Warns if the middle lies far off the area of the CRS; raises `InputError` if it is not a place
+    on its world.
     """
     crs = mosaic.crs
     x, y = mosaic.grid.centre
     lon, lat, accuracy = to_wgs84(crs, x, y)
     if not (abs(lat) <= 90.0 and abs(lon) <= 540.0):
         raise InputError(
-            f"{mosaic.source} has its middle at {x:.9g}, {y:.9g}, which is no place in {crs.name}; "
-            "check its georeference and its coordinate reference system"
+            f"{mosaic.source} has its middle at {x:.9g}, {y:.9g}, which is not a place in "
+            f"{crs.name}; check its georeference and its coordinate reference system"
         )
     if off_area_deg(crs, lon, lat) > FAR_DEG:
         _log.warning(

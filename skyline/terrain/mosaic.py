@@ -25,22 +25,22 @@ GRID_TOLERANCE = 0.01
 """Greatest distance of a tile's samples from the grid of the first tile, in samples."""
 
 AGREEMENT_M = 1.0
-"""Tiles may differ by this much where they overlap or meet, from rounding to whole metres."""
+"""Tiles may differ by this much where they overlap or meet, because of rounding to whole metres."""
 
 OTHER_GROUND_M = 60.0
 """Two models of one ground differ by less at most of their samples: by trees, houses, and errors.
 Rasters of slopes or errors, and heights in another unit or above another datum, differ by more."""
 
 BORDER_SAMPLES = 64
-"""Least length of a border at which a step is looked for; along shorter ones, ridges and valleys
-look like steps."""
+"""Least length of a border at which steps are searched; along shorter ones, ridges and valleys look
+like steps."""
 
 STANDARD_ERRORS = 8.0
 """Least height of a step, in its standard errors. A cut through a whole DEM must never be reported
-as a step: tests/unit/test_dem_tiles.py makes some thousands, of 128 samples."""
+as a step: tests/unit/test_dem_tiles.py tries some thousands, of 128 samples."""
 
 _READERS = 2
-"""Tiles that are read at a time, and that wait to be laid."""
+"""Tiles that are read at a time, and tiles that wait to be laid."""
 
 Parts = Iterable[tuple[slice, Float32Array]]
 """Slices of a tile's rows, and their heights."""
@@ -67,12 +67,12 @@ def read_mosaic(tiles: Sequence[Tile]) -> Mosaic:
 
     Where tiles overlap, the first tile that has a height gives it. If tiles differ by more than
     `AGREEMENT_M` there, or where they meet, a warning gives the difference. Tiles in degrees that
-    agree in their spacing of latitude alone, as Copernicus tiles north and south of 50 degrees do,
+    agree only in their spacing of latitude, as Copernicus tiles north and south of 50 degrees do,
     are resampled to the finest spacing of longitude.
 
-    Raises `InputError` where tiles differ in CRS or spacing, lie off the grid of the first or too
-    far apart, where one has heights above the geoid and another above the ellipsoid, or where a
-    tile lies over others and has other heights.
+    Raises `InputError` if tiles differ in CRS or spacing, lie off the grid of the first or too far
+    apart, if one has heights above the geoid and another above the ellipsoid, or if a tile overlaps
+    others and has different heights.
     """
     _check_vertical(tiles)
     groups = _by_spacing(tiles)
@@ -103,7 +103,7 @@ def _read(tiles: Sequence[Tile]) -> Mosaic:
 def _read_ahead(tiles: Sequence[Tile]) -> Iterator[tuple[Tile, Parts]]:
     """Yield tiles with their heights.
 
-    While one is laid, others are read and unpacked.
+    While one tile is laid, others are read and unpacked.
     """
     if len(tiles) == 1:
         yield tiles[0], tiles[0].read()
@@ -122,7 +122,7 @@ def _read_ahead(tiles: Sequence[Tile]) -> Iterator[tuple[Tile, Parts]]:
 def _lay_tile(place: Float32Array, tile: Tile, parts: Parts) -> None:
     """Read a tile into its place; heights of earlier tiles stay.
 
-    Warns where they differ, and raises `InputError` where they are of other ground.
+    Warns if they differ, and raises `InputError` if they show different ground.
     """
     disagreement_m = 0.0
     shared = 0
@@ -169,7 +169,7 @@ def _free_borders(
 ) -> list[tuple[Float32Array, BoolArray]]:
     """Return the borders of a tile with samples on both sides.
 
-    The tile is yet to be read. ``row`` and ``col`` are the place of the tile's north-west sample in
+    The tile has not been read yet. ``row`` and ``col`` are the position of its north-west sample in
     ``heights``. A border is a view of four lines of samples (4, n), two inside the tile and two
     outside, and a mask (n,) of the columns whose sample at the tile's edge no other tile has given.
     """
@@ -189,9 +189,9 @@ def _free_borders(
 def border_step_m(lines: Float32Array, is_free: BoolArray) -> float:
     """Return how far a tile stands above its neighbours.
 
-    The step is 0 along a border at which the tile joins them. ``lines`` (4, n) are samples from
-    within the tile outwards, two on either side of the border; samples marked in ``is_free`` (n,)
-    count. The slopes on both sides explain their share of a step.
+    The step is 0 along a border where the tile fits them. ``lines`` (4, n) are samples from within
+    the tile outwards, two on either side of the border; samples marked in ``is_free`` (n,) count.
+    The slopes on both sides explain their share of a step.
     """
     inside, edge, beside, beyond = lines[:, is_free].astype(np.float64)
     with np.errstate(invalid="ignore"):  # Samples without a height are infinite.
@@ -211,7 +211,7 @@ def border_step_m(lines: Float32Array, is_free: BoolArray) -> float:
 def _by_spacing(tiles: Sequence[Tile]) -> list[list[Tile]]:
     """Return tiles in degrees in groups of one spacing of longitude.
 
-    All are in one group where they differ in their spacing of latitude, or are not in degrees.
+    Tiles that differ in their spacing of latitude, or are not in degrees, form one group.
     """
     first = tiles[0]
     groups: dict[float, list[Tile]] = {}
@@ -319,7 +319,7 @@ def _place_on_grid(tile: Tile, first: Tile) -> tuple[int, int]:
 
 
 def _check_vertical(tiles: Sequence[Tile]) -> None:
-    """Warn of assumptions about heights, each once, and of different vertical datums.
+    """Warn of assumptions about heights, and of different vertical datums.
 
     Raises `InputError` where one tile has heights above the geoid and another above the ellipsoid.
     """

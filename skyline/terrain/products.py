@@ -1,7 +1,4 @@
-"""Well-known elevation products, and whether they show the bare ground.
-
-Products of the other kind show trees and houses too.
-"""
+"""Well-known elevation products: bare ground, or trees and houses too."""
 
 import re
 from collections.abc import Sequence
@@ -33,7 +30,7 @@ first pattern that is found counts."""
 
 
 def model_of(files: Sequence[str]) -> str:
-    """Return what a DEM shows by its files' names and tags.
+    """Return what a DEM shows, by its files' names and tags.
 
     The result is `SURFACE` or `GROUND` with the product, and `UNKNOWN` where these say nothing, or
     where the files differ.
@@ -43,7 +40,7 @@ def model_of(files: Sequence[str]) -> str:
 
 
 def _model_of_file(file: str) -> str:
-    """Return what a file's name, else its tags, say it shows."""
+    """Return what a file shows, by its name or else its tags."""
     for text in (Path(file).name, *_tags(file)):
         for pattern, product, model in _PRODUCTS:
             if re.search(pattern, text.lower()):

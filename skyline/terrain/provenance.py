@@ -1,6 +1,6 @@
 """Provenance of a height field.
 
-It names the files, the options with which they were read, and what was done to their samples.
+It names the files, the options with which they were read, and the changes to their samples.
 """
 
 from collections.abc import Mapping
@@ -20,7 +20,7 @@ class DemOptions:
     Attributes
     ----------
     crs : str or None
-        Coordinate reference system, an EPSG code or WKT, of files that name none. Its vertical
+        Coordinate reference system (an EPSG code or WKT) of files that name none. Its vertical
         part, as in ``EPSG:2263+6360``, also counts for files that name the same CRS without one.
     """
 
@@ -53,7 +53,7 @@ class Provenance(ShortRepr):
     files : tuple of str
         Absolute paths of the DEM files, empty for a field made in memory.
     resampling : str
-        ``"none"`` where the file's own grid is used, else the method and the source CRS.
+        ``"none"`` if the file's own grid is used, else the method and the source CRS.
     filled : int
         Number of samples in voids that were filled by interpolation.
     hollow : int

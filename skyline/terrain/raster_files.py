@@ -22,7 +22,7 @@ from skyline.errors import FetchError, InputError
 from skyline.files import archive_of, is_file
 
 NOT_RECOGNIZED = "not recognized as being in"
-"""GDAL's words for a file of no format that it knows."""
+"""GDAL's words for a file of an unknown format."""
 
 _BLOCK_BYTES = 1 << 20
 """Bytes of a file that are unpacked at a time."""
@@ -52,11 +52,11 @@ _NO_ANSWER = re.compile(
 
 @contextmanager
 def opened_raster(source: str, header_only: bool = False, **settings: str) -> Iterator[Any]:
-    """Open a raster with further settings of GDAL's; yields the rasterio dataset.
+    """Open a raster with further GDAL settings; yield the rasterio dataset.
 
-    With ``header_only`` its samples must not be read: a packed tile is then not always unpacked.
-    A failure while the raster is open becomes an error of one line: `InputError`, or `FetchError`
-    where a server fails.
+    With ``header_only`` its samples must not be read, since a packed tile may not be unpacked. A
+    failure while the raster is open becomes a one-line error: `InputError`, or `FetchError` if a
+    server fails.
     """
     if "://" in source:
         # Otherwise GDAL asks a server for a dozen other files in the DEM's folder.
@@ -103,8 +103,8 @@ def _dataset(source: str, header_only: bool, held: ExitStack) -> Any:
 def _zeros_for(source: str) -> bytes:
     """Return as many zeros as a packed .hgt tile has bytes.
 
-    There are none for other files. Such a tile has no header: its name and its length say all but
-    the samples.
+    Other files have none. Such a tile has no header: its name and its length say everything but the
+    samples.
     """
     if not source.lower().endswith(".hgt.gz"):
         return b""
@@ -123,7 +123,7 @@ def _is_gzip(source: str) -> bool:
 def unpacked(source: str) -> Iterator[IO[bytes]]:
     """Open the content of a file, a ``.gz`` or a member.
 
-    Checksums are compared. Raises `InputError` where it cannot be read to the end.
+    Checksums are compared. Raises `InputError` if it cannot be read to the end.
     """
     member = archive_of(source)
     try:
@@ -143,7 +143,7 @@ def unpacked(source: str) -> Iterator[IO[bytes]]:
 
 
 def check_whole(source: str) -> None:
-    """Read an archive's member, to compare its checksum, as GDAL does not."""
+    """Read an archive's member to compare its checksum; GDAL does not."""
     with unpacked(source) as content:
         while content.read(_BLOCK_BYTES):
             pass
@@ -152,7 +152,7 @@ def check_whole(source: str) -> None:
 def filled_share(source: str, dataset: Any) -> float:
     """Return the greatest share of a grid that listed points fill.
 
-    GDAL lays the grid through all points, and gives 0 where there is none.
+    GDAL lays the grid through all points, and gives 0 where there is no point.
     """
     with unpacked(source) as content:
         lines = sum(block.count(b"\n") for block in iter(lambda: content.read(_BLOCK_BYTES), b""))

@@ -58,7 +58,7 @@ class Tile:
     grid: Grid
     """North-up, whichever way the raster's rows and columns run."""
     north_up: tuple[slice, slice]
-    """Index that turns an array in the raster's order into the grid's order, and back."""
+    """Index that turns an array from the raster's order into the grid's order, and back."""
     vertical: Vertical
     """The unit and the datum of its heights."""
     conventions: Mapping[str, str]
@@ -71,9 +71,10 @@ class Tile:
 
 
 def open_tile(source: str, default_crs: CRS | None) -> Tile:
-    """Return the tile under a name that GDAL opens (`skyline.terrain.dem_files.absolute_name`).
+    """Return the tile under a name that GDAL opens.
 
-    Raises `InputError` or `FetchError` where it is not a usable DEM.
+    See `skyline.terrain.dem_files.absolute_name`. Raises `InputError` or `FetchError` if it is not
+    a usable DEM.
     """
     if archive_of(source):
         check_whole(source)
@@ -94,7 +95,7 @@ def dataset_tile(dataset: Any, default_crs: CRS | None) -> Tile:
 def array_tile(array: Any, default_crs: CRS | None) -> Tile:
     """Return the tile in an xarray.DataArray.
 
-    The geotransform and the CRS are the ones that rioxarray notes, so that its array of a file has
+    The geotransform and the CRS are the ones that rioxarray notes, so an array that it opens has
     the same heights as the file. Raises `InputError` as `skyline.read_dem`.
     """
     if not isinstance(array, library("xarray", "a DataArray").DataArray):
@@ -235,7 +236,10 @@ def _heights_of(
 
 
 def _on_map(source: str, crs: CRS) -> CRS:
-    """Return a CRS without its vertical part; `InputError` unless geographic or projected."""
+    """Return a geographic or projected CRS without its vertical part.
+
+    Raises `InputError` for any other.
+    """
     if not (crs.is_geographic or crs.is_projected):
         raise InputError(
             f"{source} is in {crs.name!r}, a {crs.type_name}; expected a geographic or "
@@ -311,7 +315,10 @@ def _grid_of(
 
 
 def dims_of(source: str, array: Any) -> tuple[str, str]:
-    """Return the dimensions of a DataArray's rows and columns; raises `InputError` for others."""
+    """Return the dimensions of a DataArray's rows and columns.
+
+    Raises `InputError` for unknown names.
+    """
     for y, x in _DIMS:
         if y in array.dims and x in array.dims:
             if not array.size:
@@ -374,7 +381,7 @@ def _transform_of_array(
 
 
 def _check_unit(source: str, dim: str, unit: str, crs: CRS) -> None:
-    """Raise `InputError` where coordinates are in another length unit than the CRS."""
+    """Raise `InputError` if coordinates and CRS differ in their length unit."""
     metres = metres_per(unit) if crs.is_projected else None
     axis = crs.axis_info[0]
     if metres and not math.isclose(metres, axis.unit_conversion_factor, rel_tol=SAME_UNIT):
@@ -385,7 +392,7 @@ def _check_unit(source: str, dim: str, unit: str, crs: CRS) -> None:
 
 
 def _step(source: str, dim: str, at: Float64Array) -> float:
-    """Return the distance between neighbouring coordinates; `InputError` unless it is even."""
+    """Return the step between coordinates; raise `InputError` if uneven."""
     if at.size < 2:
         raise InputError(f"{source} has {at.size} samples along {dim}; expected 2 or more")
     step = float(at[-1] - at[0]) / (at.size - 1)

@@ -1,6 +1,7 @@
 """Ray casting on a height field.
 
-Rays are cut with the edges of the surface's triangles, up to where they first meet the surface.
+Rays are intersected with the edges of the surface's triangles, up to where they first meet the
+surface.
 
 Distances are float64 and exact on the surface of triangles. A ray's ``elevation_tan`` is its rise
 over its horizontal distance; the terrain drops with the square of the distance (`Curvature`).
@@ -27,8 +28,8 @@ def edge_crossings_m(
     """Return the distances at which level rays cross edges.
 
     The K rays are followed from ``near_m`` to ``far_m`` (K,). The surface is a plane between two
-    neighbouring crossings. Returns distances (K, C), in no order, and which of them are crossings;
-    the others are ``near_m``.
+    neighbouring crossings. Returns distances (K, C), unsorted, and which of them are crossings; the
+    others are ``near_m``.
     """
     row, col = field.to_grid(easting_m=eye.easting_m, northing_m=eye.northing_m)
     down = -np.cos(azimuth_rad) / field.spacing_north_m
@@ -58,8 +59,8 @@ def first_hits_m(
     """Return the distances at which rays first meet the surface.
 
     The N rays are of one eye, and the distances horizontal. The profile of the terrain is followed
-    along azimuths ``step_rad`` apart, and each ray is met on the nearest profile. From there the
-    distance is carried over to the ray's own azimuth, where the surface allows it: beside a ridge's
+    along azimuths ``step_rad`` apart, and each ray first meets the nearest profile. From there the
+    distance is carried over to the ray's own azimuth, if the surface allows it: beside a ridge's
     edge, the ray may see other terrain than the profile.
 
     Rays have grid azimuths and tangents of elevation angles (N,). The distances (N,) are exact for

@@ -6,11 +6,11 @@ strip by strip, so that a field of hundreds of millions of samples costs little 
 ``spacing_m`` is the coarser of the two sample spacings, metres on the ground.
 
 While a DEM is being read, NaN marks a void, and -inf a void that the file does not declare. +inf
-marks a sample that no file covers: it is never filled, and counts as no neighbour.
+marks a sample that no file covers: it is never filled, and does not count as a neighbour.
 
 Fill is an undeclared constant in place of heights that were never measured, such as the zeros round
-a footprint that was turned. It would be a plain over which an eye sees far. It differs from water
-by its rim: no terrain rises as steeply as a spike along half of a shore.
+a footprint that was turned. It would look like a plain over which an eye sees far. It differs from
+water by its rim: no terrain rises as steeply as a spike along half of a shore.
 """
 
 import logging
@@ -62,7 +62,7 @@ class RepairRules:
     wall_reach_samples: int = 3
     """Greatest distance of a wall from the rim, in samples: cubic resampling spreads a wall."""
     ground_m: tuple[float, float] = GROUND_M
-    """Lowest and highest ground of the world; a warning tells of heights beyond."""
+    """Lowest and highest ground of the world; a warning names heights beyond."""
     strip_samples: int = STRIP_SAMPLES
     """Samples of a strip of rows; more cost memory, and change nothing else."""
 
@@ -91,7 +91,7 @@ def repair(
     """Turn fill into voids, remove spikes, and close small voids.
 
     Afterwards NaN marks every hole. ``source`` is the name of the DEM in errors and warnings.
-    Raises `InputError` where there is no height at all.
+    Raises `InputError` if there are no heights at all.
     """
     undeclared, values_m = void_undeclared(heights_m, spacing_m, rules)
     if values_m:
@@ -113,7 +113,7 @@ def repair(
 
 
 def _check_range(heights_m: Float32Array, source: str, rules: RepairRules) -> None:
-    """Raise `InputError` without any height; warn of heights that no ground has."""
+    """Raise `InputError` without heights; warn of impossible ones."""
     lowest_m = np.inf
     highest_m = -np.inf
     for rows in row_strips(heights_m, rules.cached_samples):
@@ -184,7 +184,7 @@ def remove_spikes(
       neighbours (other such clumps left aside) than their quartiles are apart, so that rugged
       ground keeps its ruggedness.
 
-    NaN and +inf samples are no neighbours.
+    NaN and +inf samples do not count as neighbours.
     """
     count = 0
     for rows in row_strips(heights_m, rules.cached_samples):
@@ -276,7 +276,7 @@ def _are_spikes(
 def _joined(count: int, one: Int64Array, other: Int64Array) -> Int64Array:
     """Return a number (count,) that the members of each group share.
 
-    Groups are joined by pairs ``one`` and ``other``, each of which is given both ways round.
+    The pairs ``one`` and ``other`` join groups; each pair is given both ways round.
     """
     group = np.arange(count)
     while True:
@@ -335,7 +335,7 @@ def _neighbours(samples: Int64Array, steps: Int64Array, shape: tuple[int, ...]) 
 
 
 def _heights(heights_m: Float32Array, samples: Int64Array) -> Float64Array:
-    """Return float64 heights; NaN on voids, off grid, without a file."""
+    """Return float64 heights; NaN in voids, off the grid, without a file."""
     on_grid = samples >= 0
     heights = np.full(samples.shape, np.nan)
     heights[on_grid] = heights_m.reshape(-1)[samples[on_grid]]

@@ -28,9 +28,10 @@ POSITION_TOLERANCE = 1e-3
 _COARSE = 32
 """Samples along a side of the squares whose extremes bound the heights of a block."""
 _NODES = 9
-"""Positions along a side of a block from which its bounds are found. Between two of them, at most
-128 samples apart, a parallel bends by 128^2 s tan(latitude) / 8 R samples of s metres on a sphere
-of radius R: by less than the margin of two up to 89 degrees at 100 m, and up to 80 at 1 km."""
+"""Positions along a side of a block from which the block's bounds are found. Between two of them,
+at most 128 samples apart, a parallel bends by 128^2 s tan(latitude) / 8 R samples of s metres on a
+sphere of radius R: by less than the margin of two up to 89 degrees at 100 m, and up to 80 at 1
+km."""
 _Positions = Callable[[Float64Array, Float64Array], tuple[Float64Array, Float64Array]]
 """Takes rows (n,) and columns (m,) of the target; returns rows and columns (n, m) in the source."""
 
@@ -70,8 +71,8 @@ class Warp:
     """The resampling of heights to a square grid in a frame.
 
     The source grid is in another CRS. The methods are `cubic` and `keep_summits`. Eastings and
-    northings of the target are whole multiples of the spacing. It covers the box around the source;
-    samples outside the source's outermost samples are NaN.
+    northings of the target are whole multiples of the spacing. The target covers the box around the
+    source; samples outside the source's outermost samples are NaN.
 
     Raises `InputError` for a source CRS that cannot be transformed, or a target too large.
     """
@@ -160,7 +161,7 @@ class Warp:
 
 
 def _span(at: Float64Array, count: int) -> slice:
-    """Return the slice of ``count`` samples that positions are computed from."""
+    """Return the slice of ``count`` samples from which positions are computed."""
     first, last = np.clip([at.min() - 2, at.max() + 4], 0, count).astype(np.int64).tolist()
     return slice(first, last)
 
@@ -234,7 +235,7 @@ def cubic(heights_m: Float32Array, row: Float64Array, col: Float64Array) -> Floa
 
     Positions are fractional rows and columns. No height is above or below the four samples around
     its position. Where one of the 4 x 4 samples is a hole (NaN), the height is interpolated
-    bilinearly. It is NaN outside, and where the nearest sample is a hole.
+    bilinearly. The height is NaN outside the grid, and where the nearest sample is a hole.
     """
     rows, cols = heights_m.shape
     # Positions within a margin of the outermost samples lie on them, up to rounding. A source of a

@@ -12,14 +12,15 @@ from skyline.terrain.heightfield import HeightField
 
 @dataclass(frozen=True, slots=True)
 class RidgeSearch:
-    """How ridges are looked for."""
+    """How ridges are searched."""
 
     reach_m: float = 40_000.0
-    """Ridges farther away are left out: haze hides what is before them."""
+    """Ridges farther away are left out, since haze hides them."""
     step_share: float = 0.006
     """Step from sample to sample, as a share of the distance; at least half the DEM's spacing."""
     least_ratio: float = 1.12
-    """Least ratio of the distance of the ground seen behind a ridge and of the ridge's own."""
+    """Least ratio of the distance of the ground seen behind a ridge to the distance of the
+    ridge."""
 
 
 _SEARCH = RidgeSearch()
@@ -32,7 +33,7 @@ class Ridges:
     Attributes
     ----------
     azimuth : (N,) int
-        Numbers of the azimuths that were asked for.
+        Indices of the given azimuths.
     elevation_tan : (N,) float64
         Tangents of their elevation angles.
     distance_m : (N,) float64

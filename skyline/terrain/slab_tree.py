@@ -7,8 +7,8 @@ slab. The tree groups rays by bins of slope, and by the block of columns in whic
 of eight slabs. For each group and each of the eight slabs it holds the greatest height near any ray
 of the group.
 
-Heights are given as codes, whole numbers that grow with them: the greatest code is the code of the
-greatest height, and codes of 16 bits are compared four times as fast as heights.
+Heights are given as codes, whole numbers that grow with the heights: the greatest code belongs to
+the greatest height, and 16-bit codes are compared four times as fast as heights.
 """
 
 import itertools

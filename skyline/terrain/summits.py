@@ -1,8 +1,8 @@
 """Summits of a height field, and the prominence of hills.
 
 The highest sample of a summit lies up to a sample's spacing beside the true summit. An eye beside
-that sample stands on the model's slope, with the summit before it like a wall, although the model
-cannot tell the two positions apart.
+that sample stands on the model's slope, with the summit in front of it like a wall, although the
+model cannot tell the two positions apart.
 """
 
 import math
@@ -25,8 +25,8 @@ def highest_within(
 
     ``within_m`` is the disc's radius. On each triangle the height is linear. The highest point in
     the disc is therefore at a sample, where an edge leaves the disc, or where the steepest way up
-    from the disc's middle on a triangle's plane leaves it. Of points of one height the nearest is
-    returned, and the disc's middle where it has no surface.
+    from the disc's middle on a triangle's plane leaves it. Among points of equal height the nearest
+    is returned; without a surface, the disc's middle.
     """
     row, col = (float(at) for at in field.to_grid(easting_m=easting_m, northing_m=northing_m))
     south_m = field.spacing_north_m
@@ -82,7 +82,7 @@ def summit_heights_m(
 ) -> Float64Array:
     """Return the height of the summit at each position.
 
-    The heights are (N,), NaN where there is no summit. The highest sample within one spacing of the
+    The heights (N,) are NaN where there is no summit. The highest sample within one spacing of the
     position is a summit if the ground around it falls off by twice `HeightField.height_sd_m` on all
     sides within 16 samples, before it rises by half of that deviation. Beyond holes and the border
     it may rise.
@@ -117,8 +117,8 @@ def prominence_m(field: HeightField, row: int, col: int) -> float:
     """Return a sample's least descent to higher ground, metres.
 
     Ground counts as higher if it is more than `HeightField.height_sd_m` above the sample, because
-    the sample nearest to a named peak is not always the highest of its hill. Ground that is more
-    than 64 samples away, or not known, counts as higher. The descent is exact to a metre.
+    the sample nearest to a named peak is not always the highest of its hill. Unknown ground, and
+    ground more than 64 samples away, counts as higher. The descent is exact to a metre.
     """
     hill = _framed(field, row, col, reach=64)
     low_m = 0.0

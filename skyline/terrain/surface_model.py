@@ -1,7 +1,4 @@
-"""Surface models beside a DEM.
-
-They say how high trees and houses may rise above the ground.
-"""
+"""Surface models: how high trees and houses may rise above a DEM."""
 
 import logging
 import math
@@ -27,18 +24,19 @@ class SurfaceRules:
     unknown_m: float = 40.0
     """Height above ground that is assumed where a surface model has no height: tall trees."""
     most_canopy_m: float = 120.0
-    """The greatest height in a canopy model; a surface model of high ground has greater ones."""
+    """Greatest height in a canopy model; a surface model of high ground has greater ones."""
     least_follow_share: float = 0.5
     """A model that rises by less than this share of the ground's rise is a canopy model."""
     flat_sd_m: float = 20.0
-    """Standard deviation of ground that is too flat to tell by: it varies less than trees do."""
+    """Standard deviation of ground that is too flat to decide by: it varies less than trees do."""
     lowest_median_m: float = -10.0
     """Lowest plausible median of a surface above the ground: errors of both models. A surface that
     is as far above open ground has another datum."""
     highest_median_m: float = 60.0
     """Highest plausible median of a surface above the ground: a forest of the tallest trees."""
     open_share: float = 0.1
-    """Share of an area that is taken for open ground, where a surface is as high as the ground."""
+    """Share of an area that is assumed to be open ground, where a surface is as high as the
+    ground."""
     much_unknown_share: float = 0.2
     """Share of a DEM over which a surface model may have no height without a warning."""
 
@@ -53,12 +51,12 @@ def read_surface(
     with it, is taken for a canopy model. Its grid and CRS may differ from the terrain's; files that
     name no CRS have the one that was given for the terrain.
 
-    The field returned has the terrain's samples, none of them lower: each is the ground, plus the
-    model's greatest height above it within a sample's distance, or plus ``rules.unknown_m`` where
-    the model has no height.
+    The returned field has the terrain's samples, raised: each is the ground plus the model's
+    greatest height above it within a sample's distance, or plus ``rules.unknown_m`` where the model
+    has no height.
 
-    Raises `InputError` where the model does not cover the terrain or its heights have another
-    datum, and as `read_dem`.
+    Raises `InputError` if the model does not cover the terrain or its heights have another datum,
+    and as `read_dem`.
     """
     if isinstance(surface, HeightField):
         model = surface
@@ -92,7 +90,7 @@ def read_surface(
 def _highest_within(
     above_m: Float64Array, model: HeightField, terrain: HeightField
 ) -> Float64Array:
-    """Return the greatest height above ground within one of the terrain's samples."""
+    """Return the greatest height above ground within a sample of the terrain."""
     wide = [
         max(1, 2 * math.ceil(coarse / fine - 1e-6) - 1)
         for coarse, fine in (
@@ -180,7 +178,7 @@ def _name_of(model: HeightField) -> str:
 
 
 def _reference_of(model: HeightField) -> str:
-    """Return `GEOID`, `ELLIPSOID`, or "" where a model names no datum."""
+    """Return `GEOID`, `ELLIPSOID`, or "" if a model names no datum."""
     datum = model.provenance.conventions.get("vertical_datum", "")
     return next((one for one in (GEOID, ELLIPSOID) if datum.endswith(f"({one})")), "")
 

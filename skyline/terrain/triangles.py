@@ -1,6 +1,6 @@
 """The triangles of a height field's surface, and their edges.
 
-Edges with a triangle on one side only are where rays may enter the surface.
+Rays may enter the surface at edges with a triangle on only one side.
 """
 
 from dataclasses import dataclass

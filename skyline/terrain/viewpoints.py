@@ -29,16 +29,16 @@ from skyline.terrain.heightfield import HeightField
 from skyline.terrain.summits import highest_within, summit_heights_m
 
 DEFAULT_EYE_HEIGHT_M = 2.0
-"""Height above ground of a camera in the hands of someone who stands."""
+"""Height above ground of a camera in the hands of a standing person."""
 
 LEAST_EYE_HEIGHT_M = 0.3
-"""Height above ground of a camera on the lowest tripods, or in the hands of someone who lies down.
-An eye that seems lower stands where the terrain model is too high."""
+"""Height above ground of a camera on a very low tripod, or in the hands of a person lying down. An
+eye that seems lower stands where the terrain model is too high."""
 
 HIGHEST_EYE_M = 20_000.0
-"""Greatest elevation of an eye, above all aeroplanes from which people take photos."""
+"""Greatest elevation of an eye, above all aeroplanes with passengers."""
 _ROUNDING_M = 1e-3
-"""Degrees with eight decimals, as files have them, are rounded to a millimetre."""
+"""Rounding error of degrees with eight decimals, as files have them."""
 _POSITIONS = (("easting", "northing"), ("lon", "lat"))
 _HEIGHTS = ("eye_height_m", "eye_elevation_m")
 _LABELS = ("id", "name")
@@ -108,9 +108,7 @@ def stand_on(
     refuse_text(summit_within_m=summit_within_m)
     given = easting, northing
     if summit_within_m is not None and not 0.0 <= summit_within_m <= 10_000.0:
-        raise InputError(
-            f"summits are looked for within {summit_within_m:g} m; expected 0 to 10000"
-        )
+        raise InputError(f"summits are searched within {summit_within_m:g} m; expected 0 to 10000")
     if summit_within_m:
         highest = [
             highest_within(field, *position, summit_within_m)
@@ -136,8 +134,8 @@ def stand_at(
 ) -> Viewpoints:
     """Place eyes at longitudes and latitudes (WGS 84).
 
-    Parameters and errors are as in `stand_on`. By default an eye beside a summit of the model
-    stands as high as the summit.
+    Parameters and errors are as in `stand_on`. By default an eye beside a summit of the model is
+    lifted to the summit's height.
     """
     easting_m, northing_m = position_on(field, lon, lat)
     return stand_on(
@@ -275,7 +273,7 @@ def _first_of(failing: Int64Array, count: int) -> str:
 def _onto_border(
     field: HeightField, easting_m: Float64Array, northing_m: Float64Array
 ) -> tuple[Float64Array, Float64Array]:
-    """Return positions, those that rounding put off the map back on its border.
+    """Return positions, moved onto the border if rounding put them off.
 
     Otherwise the outermost samples, whose degrees are rounded, would be off their own map.
     """
@@ -354,9 +352,9 @@ def read_viewpoints(
     rows without a height or an elevation, ``summit_within_m`` (as in `stand_on`) for rows without
     an elevation.
 
-    Raises `MissingFileError` or `InputError` where the file does not exist or has no rows, the
-    columns are wrong, a row has both a height and an elevation, or a value is not a number;
-    otherwise as `stand_on`.
+    Raises `MissingFileError` or `InputError` if the file does not exist or has no rows, the columns
+    are wrong, a row has both a height and an elevation, or a value is not a number; otherwise as
+    `stand_on`.
     """
     table = read_table(path, _EXPECTED)
     position = table.first_in(*_POSITIONS, expected=_EXPECTED)
@@ -391,7 +389,7 @@ def read_viewpoints(
 
 
 def _optional(table: Table, column: str) -> Float64Array:
-    """Return the numbers (N,) of a column that may be empty or missing; NaN where it is.
+    """Return a column's numbers (N,); NaN where empty or missing.
 
     Raises `InputError` for a row that fills more than one column of `_HEIGHTS`.
     """

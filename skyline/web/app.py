@@ -1,4 +1,4 @@
-"""The addresses of the server: the page, photos, skylines, matches and files."""
+"""The server's addresses: the page, photos, skylines, matches and files."""
 
 import asyncio
 import contextlib
@@ -36,7 +36,7 @@ from skyline.web.sessions import MAX_SESSION_BYTES, MAX_UPLOAD_BYTES, GoneError,
 _PAGE = Path(__file__).parent / "page"
 _MAX_JSON_BYTES = 8_000_000
 _SWEEP_S = 1.0
-"""Interval at which sessions that no page attends are looked for."""
+"""Interval between searches for sessions without an open page."""
 
 
 class TooLargeError(InputError):
@@ -46,8 +46,8 @@ class TooLargeError(InputError):
 class PageApp:
     """The web application of an engine.
 
-    ``started`` is called once it answers requests. ``machine`` names the machine to which the
-    photos of others go, None if there are no others.
+    ``started`` is called once it answers requests. ``machine`` names the machine to which photos go
+    from other machines; None if these cannot open the page.
     """
 
     def __init__(self, engine: Engine, machine: str | None, started: Callable[[], None]) -> None:

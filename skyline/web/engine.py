@@ -24,18 +24,18 @@ _WORKERS = {"photos": 2, "strokes": 2, "matches": 3, "live": 4, "files": 1}
 
 
 class Engine:
-    """Grounds for many sessions at a time: the given one, or those of the photos' areas.
+    """Grounds for many sessions: the given one, or the photos' areas.
 
     Raises `SkylineError` if the stores, their DEM or the gazetteer cannot be used.
 
     Parameters
     ----------
     stores : sequence of Path
-        Stores of one DEM, searched as one. If there are none, the ground of each photo is its area
-        in the cache, made when its place is searched for the first time.
+        Stores of one DEM, searched as one. Without any, the ground of each photo is its area in the
+        cache, which is made when its place is first searched.
     dem : list of str, optional
-        Files of the stores' DEM, if they have moved; without stores, the elevation of areas, else
-        fetched.
+        Files of the stores' DEM, if they have moved; without stores, the elevation of the areas,
+        which by default is fetched.
     photos : sequence of Path
         Photos at the start of every session's list.
     peaks : Path, optional
@@ -73,17 +73,17 @@ class Engine:
         return await loop.run_in_executor(self._pools[kind], task, *arguments)
 
     def about(self) -> dict[str, Any]:
-        """Return the facts about the stores and photos that the command names."""
+        """Return facts about the stores and photos that the command names."""
         return {
             "ground": self.ground and self.ground.about,
             "given": [shown_name(path.name) for path in self.photos],
         }
 
     def ground_for(self, photo: Path, narrowing: Narrowing, report: ReportProgress) -> Ground:
-        """Return the ground in which a photo is searched; make its area if it is missing.
+        """Return the ground in which a photo is searched.
 
-        It is the area of the narrowing, or else of the photo's own position. Raises as
-        `skyline.locate`, and what ``report`` raises.
+        It is the area of the narrowing, or else of the photo's own position, made if it is missing.
+        Raises as `skyline.locate`, and what ``report`` raises.
         """
         if self.ground is not None:
             return self.ground

@@ -1,4 +1,4 @@
-"""Stores with their terrain: what photos are searched and seen in."""
+"""Stores with their terrain, in which photos are searched and seen."""
 
 import hashlib
 from collections.abc import Sequence
@@ -66,7 +66,7 @@ class Ground:
 
     @property
     def viewer(self) -> Viewer:
-        """The terrain as cameras see it; raises `InputError` without the stores' DEM."""
+        """The terrain as cameras see it; raises `InputError` without a DEM."""
         if self._viewer is None:
             raise InputError("the store's DEM is not at hand; start skyline serve with --dem DEM")
         return self._viewer
@@ -91,7 +91,7 @@ class Ground:
 
     @cached_property
     def names(self) -> list[tuple[str, float, float]]:
-        """The gazetteer's names with longitude and latitude, the highest places first."""
+        """The gazetteer's names with longitude and latitude, highest first."""
         peaks, terrain = self.peaks, self.matcher.terrain
         if peaks is None:
             return []
@@ -113,8 +113,8 @@ class Ground:
     def eye_height_m(self, pose: Pose) -> float | None:
         """Return the height of a pose's eye above the ground.
 
-        It is the height that `Viewer.pose` takes. An eye below the surface counts as on it. Without
-        terrain the height is None.
+        It is the height that `Viewer.pose` takes. An eye below the surface counts as on it. The
+        height is None without terrain.
         """
         surface_m = self.height_m(pose.lon, pose.lat)
         if surface_m is None or self.matcher.terrain is None:
@@ -130,10 +130,7 @@ class Ground:
 
 
 def shown_name(name: str) -> str:
-    """Return a file's name as the page shows it.
-
-    It has no folders and no control characters.
-    """
+    """Return a file's name without folders and control characters."""
     last = name.replace("\\", "/").rsplit("/", 1)[-1]
     plain = "".join(letter for letter in last if letter.isprintable()).strip()
     return plain[-_NAME_LENGTH:] or "photo"

@@ -21,14 +21,14 @@ _log = logging.getLogger(__name__)
 _PROGRESS_S = 0.15
 """Interval between two reports of the progress of matches."""
 _GAPS = 240
-"""Number of columns for which the gap between the skylines is sent."""
+"""Number of columns whose gap between the skylines is sent."""
 
 
 class LiveChannel:
     """The channel to one open page.
 
-    A marker that is dragged sends poses faster than skylines can be rendered, so only the latest
-    request of each type is answered.
+    A dragged marker sends poses faster than skylines can be rendered, so only the latest request of
+    each type is answered.
     """
 
     def __init__(self, socket: WebSocket, engine: Engine, session: Session) -> None:
@@ -106,7 +106,7 @@ class LiveChannel:
     def _looked(self, asked: Mapping[str, Any]) -> dict[str, Any]:
         """Return the skyline at a pose, its gaps, and the summits.
 
-        The gaps are between this skyline and the photo's.
+        The gaps lie between this skyline and the photo's.
         """
         photo = self._session.photo(str(asked.get("photo")))
         viewer = photo.ground.viewer

@@ -1,6 +1,6 @@
-"""Messages of the page and the server in JSON.
+"""JSON messages between the page and the server.
 
-Requests are checked and converted, and answers are made. `NotedPose` and `Narrowing` check their
+This module checks and converts requests, and makes answers. `NotedPose` and `Narrowing` check their
 own numbers.
 """
 
@@ -35,7 +35,7 @@ _NARROWING = ("near", "heading_deg", "elevation_m", "eye_height_m")
 def number(asked: Mapping[str, Any], name: str) -> float:
     """Return a number of a request.
 
-    Raises `InputError` if it is no number, or out of range.
+    Raises `InputError` if it is not a number, or out of range.
     """
     value: Any = asked.get(name)
     low, high = _RANGES[name]
@@ -48,7 +48,7 @@ def number(asked: Mapping[str, Any], name: str) -> float:
 def strokes_of(asked: Any) -> list[Stroke]:
     """Return the strokes of a request."""
     if not isinstance(asked, list):
-        raise InputError("the strokes are no list; reload the page")
+        raise InputError("the strokes are not a list; reload the page")
     strokes = []
     for one in asked:
         if not isinstance(one, Mapping) or one.get("kind") not in list(StrokeKind):
@@ -57,7 +57,7 @@ def strokes_of(asked: Any) -> list[Stroke]:
         if not isinstance(points, list) or any(
             not isinstance(point, list) or len(point) != 2 for point in points
         ):
-            raise InputError("the points of a stroke are no list of pairs of a column and a row")
+            raise InputError("the points of a stroke are not a list of pairs of a column and a row")
         pairs = [dict(zip(("column", "row"), point, strict=True)) for point in points]
         places = tuple((number(pair, "column"), number(pair, "row")) for pair in pairs)
         strokes.append(Stroke(StrokeKind(one["kind"]), places, number(one, "radius")))
@@ -68,7 +68,7 @@ def known_of(asked: Mapping[str, Any]) -> Mapping[str, Any]:
     """Return the user's knowledge of the pose from a request."""
     known = asked.get("known", {})
     if not isinstance(known, Mapping):
-        raise InputError("what is known is no JSON object; reload the page")
+        raise InputError("what is known is not a JSON object; reload the page")
     return known
 
 
@@ -110,7 +110,7 @@ def outcome_json(result: MatchResult, ground: Ground) -> dict[str, Any]:
 
 
 def _candidate_json(candidate: Pose, ground: Ground) -> dict[str, Any]:
-    """Return a candidate's pose, and what the page shows beside it."""
+    """Return a candidate's pose, and what the page shows with it."""
     return {
         "pose": candidate.to_dict(),
         "rank": candidate.rank,
@@ -121,10 +121,7 @@ def _candidate_json(candidate: Pose, ground: Ground) -> dict[str, Any]:
 
 
 def _ellipse_json(candidate: Pose, frame: Frame) -> list[list[float]] | None:
-    """Return longitudes and latitudes along a candidate's ellipse.
-
-    None where the ellipse is not known.
-    """
+    """Return longitudes and latitudes along a candidate's ellipse, or None."""
     ellipse = Ellipse.of(candidate)
     if ellipse is None:
         return None

@@ -42,14 +42,15 @@ _MAKING = {
     "reading the elevation model": (0.3, 0.35),
     "building the store": (0.35, 0.85),
 }
-"""The same of the steps in which an area is made, as shares of these and the match."""
+"""Beginning and end of each step in which an area is made, as shares of these steps and the
+match."""
 
 
 class PagePhoto:
     """A photo on the page, with its skyline, strokes and results.
 
-    Its file at ``path`` is the session's own, never changed; ``name`` is the user's name of it.
-    ``ground`` is None until the place is searched for, unless the command names stores. Raises
+    Its file at ``path`` is the session's own, and never changes; ``name`` is the user's name for
+    it. ``ground`` is None until the place is searched, unless the command names stores. Raises
     `InputError` if the file cannot be used.
     """
 
@@ -103,7 +104,7 @@ class PagePhoto:
 
     @property
     def ground(self) -> Ground:
-        """Where the photo is searched; raises `InputError` if no area was made for it yet."""
+        """Where the photo is searched; raises `InputError` without an area."""
         if self._ground is None:
             raise InputError("there is no elevation for this photo yet; find the place first")
         return self._ground
@@ -113,7 +114,7 @@ class PagePhoto:
         self._ground = ground
 
     def _noted_circle(self) -> tuple[float, float, float] | None:
-        """Return the circle that `skyline.locate` searches; None if the photo notes no position."""
+        """Return the circle that `skyline.locate` searches, or None."""
         with suppress(InputError):
             return area_of([self.path], Narrowing())[1].near
         return None
@@ -132,7 +133,7 @@ class PagePhoto:
             self.fitted = None
 
     def project(self, projection: Projection) -> None:
-        """Take the photo as one of another projection.
+        """Give the photo another projection.
 
         Its field of view is then unknown, unless the file notes it for that projection.
         """
@@ -154,7 +155,7 @@ class PagePhoto:
     def lines(self) -> bytes:
         """Return the skyline's rows, trust and other crests, as float32.
 
-        Columns that are not trusted have NaN and 0, those without another crest NaN.
+        Columns that are not trusted have NaN and 0; those without another crest have NaN.
         """
         skyline = self.skyline
         lines = np.stack([skyline.row_px, skyline.trust, skyline.other_crest_px()])
@@ -162,12 +163,12 @@ class PagePhoto:
 
     @property
     def current_result(self) -> MatchResult | None:
-        """The result of the search, None once the skyline has changed since."""
+        """The result of the search; None if the skyline has changed since."""
         searched = self.result_json
         return self.result if searched and searched["skyline"] == version_of(self.skyline) else None
 
     def result_of(self, asked: Mapping[str, Any]) -> MatchResult | None:
-        """Return a search's result, unless another search would be made now."""
+        """Return a search's result, unless a search now would differ."""
         searched = self.result_json
         return self.current_result if searched and searched["asked"] == asked else None
 
@@ -186,7 +187,7 @@ def version_of(skyline: PhotoSkyline) -> str:
 def opened(photo: PagePhoto) -> tuple[Photo, Correction]:
     """Return a photo and its correction, from memory or its file.
 
-    Raises `InputError` if the photo cannot be used; the message has the user's name of the file.
+    Raises `InputError` if the photo cannot be used; the message has the user's name for the file.
     """
     return _opened(photo, photo.projection)
 

@@ -1,4 +1,4 @@
-"""Files of a photo and its place, which the page saves."""
+"""The files of a photo and its place that the page saves."""
 
 import secrets
 import shutil
@@ -41,10 +41,10 @@ def trace_of(photo: PagePhoto, path: Path) -> bytes:
 
 
 def chosen_of(asked: Mapping[str, Any], photo: PagePhoto) -> MatchResult:
-    """Return the result that begins with the pose that a request chooses.
+    """Return the result that begins with a request's pose.
 
-    It is ``pose``, set by hand; or the last fit, if ``fitted`` is true; or else the candidate with
-    the index ``rank``, 0 by default.
+    The pose is ``pose``, set by hand; or the last fit, if ``fitted`` is true; or else the candidate
+    with the index ``rank``, 0 by default.
     """
     if asked.get("pose") is not None:
         pose = pose_of(asked["pose"], photo.skyline, photo.ground.viewer)

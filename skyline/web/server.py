@@ -32,7 +32,8 @@ _POLICY = {
     "Cross-Origin-Resource-Policy": "same-origin",
 }
 _FAMILIES = {4: (socket.AF_INET, "192.0.2.1"), 6: (socket.AF_INET6, "2001:db8::1")}
-"""For each version of IP its sockets, and an address of the networks reserved for documentation."""
+"""For each version of IP: its sockets, and an address in the networks reserved for
+documentation."""
 _MAX_MESSAGE_BYTES = 1_000_000
 _ENDS_S = 3
 
@@ -40,7 +41,7 @@ _ENDS_S = 3
 def serve(make_engine: Callable[[], Engine], host: str, port: int) -> None:
     """Serve the page of an engine until Ctrl-C.
 
-    Port 0 takes any that is free.
+    Port 0 takes any free port.
 
     Raises `InputError` if the address cannot be listened on, and what making the engine raises.
     """
@@ -108,9 +109,9 @@ class Reach:
 
 
 def own_addresses(version: int) -> list[str]:
-    """Return this machine's addresses of a version of IP.
+    """Return the addresses by which other machines reach this one.
 
-    Other machines reach it by them. There may be none. The first belongs to the route to other
+    They are of one version of IP; there may be none. The first belongs to the route to other
     networks.
     """
     family, elsewhere = _FAMILIES[version]

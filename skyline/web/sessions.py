@@ -1,4 +1,4 @@
-"""Sessions of the page, each with its photos and its folder."""
+"""Sessions of the page, each with its own photos and folder."""
 
 import asyncio
 import secrets
@@ -17,12 +17,12 @@ MAX_SESSION_BYTES = 2_000_000_000
 
 @dataclass(frozen=True)
 class Patience:
-    """How long the server waits for a page that was closed."""
+    """How long the server waits after a page was closed."""
 
     unattended_s: float = 3.0
-    """Time for which a match goes on without an open page."""
+    """How long a match goes on without an open page."""
     gone_s: float = 900.0
-    """Time for which a session is kept after its last page closed: the page may be opened again."""
+    """How long a session is kept after its last page closed, since the page may be opened again."""
 
 
 class GoneError(InputError):
@@ -103,7 +103,7 @@ class Sessions:
         return self._sessions[session_id]
 
     def sweep(self) -> None:
-        """End matches that no page awaits, and sessions closed long ago."""
+        """End matches that no page waits for, and sessions closed long ago."""
         for session in list(self._sessions.values()):
             if session.unattended_s > self._patience.unattended_s:
                 for photo in list(session.photos.values()):

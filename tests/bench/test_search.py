@@ -14,7 +14,14 @@ from skyline.photo.skyline import PhotoSkyline
 from skyline.survey.plans import map_bounds
 from skyline_bench.queries.kinds import make_kind
 from skyline_bench.queries.synthetic import SyntheticQuery, Truth
-from skyline_bench.search.trials import Trial, against_uniform, summarize, trial_of
+from skyline_bench.search.trials import (
+    Trial,
+    against_uniform,
+    as_large,
+    gain_points,
+    summarize,
+    trial_of,
+)
 
 
 @pytest.fixture
@@ -302,3 +309,21 @@ def test_adaptive_stores_are_held_to_uniform_ones_of_the_same_matcher():
     assert half_way["share"] == pytest.approx(0.5)
     assert (beyond["uniform_mean_m"], beyond["share"]) == (None, None)
     assert (same["gain"], same["share"]) == pytest.approx((1.0, 1.0))
+
+
+def test_a_plan_is_held_to_the_grid_of_as_many_places():
+    grids = [
+        {"group": "all", "planner": "uniform", "renderings": number} for number in (50, 108, 400)
+    ]
+    assert as_large({"renderings": 100}, grids) == grids[1]
+    assert as_large({"renderings": 200}, grids) is None
+
+
+def test_only_queries_that_one_store_finds_alone_tell_two_stores_apart():
+    plan = {"each_within_200m": "11110000"}
+    grid = {"each_within_200m": "11100000"}
+    # One of eight: the deviation of 0, ..., 0, 1 is the root of 7 over 8.
+    gain, half = gain_points(plan, grid)
+    assert gain == 12.5
+    assert half == pytest.approx(196.0 * 7.0**0.5 / 8.0 / 8.0**0.5)
+    assert gain_points(plan, plan) == (0.0, 0.0)

@@ -9,13 +9,15 @@ from dataclasses import replace
 from unittest.mock import Mock
 
 import cv2
+import geopandas
 import numpy as np
 import pytest
 import rasterio
 from commands import assert_refused, csv_of, lonlat_of, off_m
 from scenes import write_dem
+from shapely import Point
 
-from skyline import InputError, MatchResult, PhotoSkyline
+from skyline import InputError, MatchResult, PhotoSkyline, read_dem
 from skyline.errors import ContextError
 from skyline.geodesy.map_frame import Frame
 from skyline.match.matcher import Matcher
@@ -331,10 +333,30 @@ def test_the_posterior_is_mapped(run, store, dem, photo, tmp_path, aside):
         (("--probability", "map.png"), "the suffix of map.png is '.png'; expected one of .tif"),
         (("--probability", "map.tif"), "give map.geojson or map.kml, which hold all"),
         (("--probability", "map.kml", "--matcher", "paper"), "leave --matcher paper out"),
+        (("--walked", "4"), "--walked joins the maps of --probability FILE"),
+        (("--probability", "map.kml", "--walked", "0"), "expected a speed above 0"),
+        (("--probability", "map.kml", "--walked", "4"), "does not note when it was taken"),
     ],
 )
 def test_posteriors_that_cannot_be_written_are_refused(run, store, photo, options, message):
     assert_refused(run("match", store, photo, photo, "--fov-deg", "60", *options), message)
+
+
+def test_the_maps_of_a_walk_are_joined(run, store, dem, photo, tmp_path):
+    lon, lat = lonlat_of(dem, 601_000.0, 5_179_000.0)
+    later = shutil.copy(photo, tmp_path / "later.jpg")
+    # The second photo is searched 900 to 1700 m from the first, half an hour later.
+    rows = f"{photo},2026-07-14T15:00,,,", f"{later},2026-07-14T15:30,{lon},{lat},0.4"
+    walk = csv_of(tmp_path / "walk.csv", rows, "path,time,lon,lat,radius_km")
+    found = tmp_path / "both.json"
+    run("match", store, walk, "--fov-deg", "60", "--probability", found, "--walked", "2.8").ok()
+    shapes = geopandas.read_file(found).to_crs(read_dem([dem]).frame.wkt)
+    assert list(shapes.share) == [0.5, 0.8, 0.95] * 2
+    away_m = shapes.geometry.hausdorff_distance(Point(601_800.0, 5_178_000.0))
+    assert away_m[2] < 100.0
+    assert 900.0 < away_m[4] < 1430.0  # 80 %; alone it is 1.7 km.
+    never = csv_of(tmp_path / "never.csv", [f"{photo},soon"], "path,time")
+    assert_refused(run("match", store, never), "expected a day and a time such as")
 
 
 def test_a_posterior_is_of_a_search(store):

@@ -169,15 +169,15 @@ MISTAKES = [
     ("match {store} {photo} --fov-deg 60 --export {photo}/a.gpx", "cannot be written"),
     (
         "match {store} {photo} --fov-deg 60 --use-gps --matcher unrefined",
-        "--use-gps acts in refinement",
+        "--use-gps works in refinement",
     ),
     (
         "match {store} {photo} --fov-deg 60 --surface {dem} --matcher unrefined",
-        "a surface acts in refinement",
+        "a surface is used in refinement",
     ),
     (
         "match {store} {photo} --fov-deg 60 --surface {dem} --matcher paper",
-        "a surface acts in refinement",
+        "a surface is used in refinement",
     ),
     ("match {store} {photo} --fov-deg 60 --surface none.tif", "no file"),
     (
@@ -578,7 +578,7 @@ class TestMatches:
         shutil.copy(photo, tmp_path / "a.jpg")
         (tmp_path / "b.xmp").write_text("<x:xmpmeta/>")
         run("match", store, tmp_path, "--fov-deg", 60, "--matcher", "unrefined").ok()
-        said = f"{tmp_path}: 1 file is left out, which is no picture: b.xmp"
+        said = f"{tmp_path}: 1 file is left out, which is not a picture: b.xmp"
         assert caplog.messages == [said]
 
     def test_in_a_store_on_a_map_with_wrong_slopes(self, run, store, photo, tmp_path):

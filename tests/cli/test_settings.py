@@ -130,7 +130,7 @@ def test_workers_do_not_read_a_photo_on_standard_input(run, store, on_input):
 
 
 @pytest.mark.parametrize(
-    ("text", "said"), [("", "standard input is empty"), ("none.jpg\n", "which is no file")]
+    ("text", "said"), [("", "standard input is empty"), ("none.jpg\n", "which is not a file")]
 )
 def test_input_without_photos_is_refused(run, store, on_input, text, said):
     on_input(text)

@@ -8,7 +8,7 @@ import pytest
 from commands import csv_of, trace_of
 from distributed import Client
 
-from skyline.survey.cluster import Opening, Runner
+from skyline.survey.cluster import Opening, Runner, local_cluster
 
 
 @pytest.fixture
@@ -46,10 +46,10 @@ def test_photos_are_matched_by_workers_as_here(run, traces, dask_cluster, reques
     assert "3.csv" in spread.err
 
 
-def test_all_workers_search_for_each_photo_as_one_process_does(run, traces, dask_cluster, store):
-    words = "match", store, *traces[:3], "--fov-deg", "60", "--json", "--matcher", "unrefined"
+def test_two_workers_search_for_one_photo_as_one_process_does(run, traces, dask_cluster, store):
+    words = "match", store, traces[0], "--fov-deg", "60", "--json", "--matcher", "unrefined"
     here = run(*words).ok()
-    there = "--workers", dask_cluster.scheduler_address, "--split"
+    there = "--workers", dask_cluster.scheduler_address
     spread = run(*words, *there).ok()
     assert answers_in(spread) == answers_in(here)
     with Client(dask_cluster) as client:
@@ -79,7 +79,15 @@ class NoTool:
 
 
 def test_another_worker_answers_for_one_that_dies(dask_cluster, tmp_path):
-    with Client(dask_cluster) as client:
-        runner = Runner(client)
-        opening = Opening("nothing", NoTool)
-        assert runner.ask(die_once, opening, tmp_path / "died", 1) == "alive"
+    assert answer_after_death(dask_cluster, tmp_path / "died") == "alive"
+
+
+def test_the_only_worker_answers_when_it_is_back_after_its_death(tmp_path):
+    with local_cluster(1) as cluster:
+        assert answer_after_death(cluster, tmp_path / "died") == "alive"
+
+
+def answer_after_death(cluster, mark):
+    """Return what a cluster answers if the first worker that is asked dies."""
+    with Client(cluster) as client:
+        return Runner(client).ask(die_once, Opening("nothing", NoTool), mark, 1)

@@ -62,6 +62,26 @@ def off_deg(found, pose=TRUE):
     return abs(float(in_turn(found.pose.grid_heading_deg - pose.grid_heading_deg)))
 
 
+def state_of(pose):
+    """Return the unknowns of a pose's covariance."""
+    angles = np.radians([pose.grid_heading_deg, pose.pitch_deg, pose.roll_deg])
+    scale = np.log(np.tan(np.radians(pose.fov_deg) / 2.0))
+    place = pose.easting_m, pose.northing_m, pose.eye_elevation_m
+    return np.array([*place, *angles, scale, pose.distortion])
+
+
+def moved(off, covariance):
+    """Return the true pose moved by its unknowns, with their covariance."""
+    state = state_of(TRUE) + off
+    heading_deg, pitch_deg, roll_deg = np.degrees(state[3:6])
+    return replace(
+        TRUE, easting_m=state[0], northing_m=state[1], eye_elevation_m=state[2],
+        heading_deg=heading_deg + TRUE.convergence_deg, pitch_deg=pitch_deg, roll_deg=roll_deg,
+        fov_deg=2.0 * np.degrees(np.arctan(np.exp(state[6]))), distortion=state[7],
+        covariance=tuple(map(tuple, covariance)),
+    )  # fmt: skip
+
+
 def test_points_give_the_place_the_attitude_and_the_lens():
     found = fit_points(VIEWER, photo_of(), points_of(), known_at(), EXACT)
     assert off_deg(found) < 0.05
@@ -84,22 +104,26 @@ def test_one_wrong_point_of_six_is_named_and_moves_nothing(wrong):
     assert [one["used"] for one in found.to_dict()["points"]].index(False) == wrong
 
 
-def test_standard_errors_are_as_large_as_errors():
-    off, sd = [], []
+def test_errors_are_those_that_the_covariance_says():
+    """No unbiased estimate is better: the covariance is the inverse of the information."""
     rng = np.random.default_rng(3)
+    before = np.diag([25.0, 25.0, 25.0, 1e-3, 1e-4, 1e-4, 1e-4, 1e-5])
     exact = points_of()
-    for _ in range(12):
+    squares = []
+    for _ in range(20):
+        off = rng.multivariate_normal(np.zeros(8), before)
         noise = rng.normal(0.0, 2.0, (2, 6))
+        given = moved(off, before)
         points = replace(
             exact, column_px=exact.column_px + noise[0], row_px=exact.row_px + noise[1]
         )
-        errors = replace(EXACT, pixel_sd_px=2.0)
-        found = fit_points(VIEWER, photo_of(), points, known_at(), errors)
-        off.append(off_deg(found))
-        sd.append(found.sds_deg["heading"])
-    # Of 12 errors about 11 are below two standard errors.
-    assert (np.array(off) < 2.0 * np.array(sd)).sum() >= 9
-    assert np.median(off) > 0.1 * np.median(sd)
+        found = fit_points(
+            VIEWER, photo_of(), points, KnownCamera.of_pose(given), replace(EXACT, pixel_sd_px=2.0)
+        )
+        error = state_of(found.pose) - state_of(TRUE)
+        squares.append(error @ np.linalg.solve(np.array(found.pose.covariance), error))
+    # Chi square of 8 unknowns: 8 in the mean, and of 20 photos give or take sqrt(16 / 20) = 0.9.
+    assert np.mean(squares) == pytest.approx(8.0, abs=2.0)
 
 
 def test_points_on_the_ground_need_no_elevation():

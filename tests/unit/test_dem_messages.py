@@ -214,8 +214,8 @@ class TestRasters:
         [
             ('LOCAL_CS["mine",UNIT["metre",1]]', (0.0, 0.0), "expected a geographic or projected"),
             ("EPSG:2985", (3e5, 2e5), "PROJ cannot transform"),
-            ("EPSG:4326", (500_000.0, 5_200_000.0), "no place in WGS 84"),
-            (UTM, (1e9, 5e6), "no place in WGS 84 / UTM zone 32N"),
+            ("EPSG:4326", (500_000.0, 5_200_000.0), "not a place in WGS 84"),
+            (UTM, (1e9, 5e6), "not a place in WGS 84 / UTM zone 32N"),
         ],
     )
     def test_whose_places_cannot_be_known(self, tmp_path, crs, corner, said):
@@ -372,7 +372,7 @@ class TestWarnings:
         clutter(folder)
         read_dem(folder)
         assert caplog.messages == [
-            f"{folder}: 11 files are left out, which are no rasters of heights: README.txt, "
+            f"{folder}: 11 files are left out, which are not rasters of heights: README.txt, "
             "Thumbs.db, b_hillshade.tif and 1 more .tif, item.json, note0.md and 2 more .md, "
             "peaks.csv, thumbnail.jpg, tracks.gpkg; name one to have it read"
         ]

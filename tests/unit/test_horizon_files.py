@@ -68,15 +68,29 @@ def test_observers_read_azimuths_from_north_to_north(written):
 def test_stellarium_reads_a_landscape_with_its_horizon(written):
     with zipfile.ZipFile(written("x.zip")) as archive:
         ini = configparser.ConfigParser()
-        ini.read_string(archive.read("skyline/landscape.ini").decode())
+        ini.read_string(archive.read("skyline_46.75000_9.85000/landscape.ini").decode())
         landscape, place = ini["landscape"], ini["location"]
-        listed = archive.read(f"skyline/{landscape['polygonal_horizon_list']}").decode()
+        listed = archive.read(
+            f"skyline_46.75000_9.85000/{landscape['polygonal_horizon_list']}"
+        ).decode()
     assert landscape["type"] == "polygonal"
     assert landscape["polygonal_horizon_list_mode"] == "azDeg_altDeg"
     assert float(landscape["minimal_altitude"]) < -2.0
     assert (place["latitude"], place["longitude"]) == ("+46d45'00.0\"", "+9d51'00.0\"")
     read = dict(np.genfromtxt(io.StringIO(listed)))
     assert (len(read), read[90.0], read[270.0]) == (720, 10.0, -2.0)
+
+
+def test_landscapes_of_two_places_are_two_for_stellarium(tmp_path):
+    """It names an installed landscape by its folder, and installs none twice."""
+    write_horizons(rising_to_the_east(), tmp_path / "a.zip")
+    write_horizons(rising_to_the_east(lat=46.8), tmp_path / "b.zip")
+    folders = set()
+    for name in ("a.zip", "b.zip"):
+        with zipfile.ZipFile(tmp_path / name) as archive:
+            (folder,) = {one.split("/")[0] for one in archive.namelist()}
+        folders.add(folder)
+    assert len(folders) == 2
 
 
 @pytest.mark.parametrize("name", ["x.hor", "x.sam.csv", "x.hrz", "x.zip", "x.txt"])

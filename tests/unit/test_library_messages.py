@@ -58,7 +58,7 @@ class TestPlans:
     @pytest.mark.parametrize(
         ("make", "said"),
         [
-            (lambda _: PlanConfig(coarse_m=110.0), "no whole multiple"),
+            (lambda _: PlanConfig(coarse_m=110.0), "not a whole multiple"),
             (lambda _: PlanConfig(site_spacing_m=400.0), r"site spacing is 400\.0 m"),
             (lambda t: lay_out(t, PlanConfig(coarse_m=50_000.0)), "larger than the area"),
             (lambda t: lay_out(t, PlanConfig(site_spacing_m=1e-6, coarse_m=1.0)), "are too many"),

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import rasterio
-from scenes import candidate_at, field_from
+from scenes import candidate_at, field_from, field_of, fractal
 
 from skyline.errors import InputError
 from skyline.geodesy.earth import Curvature
@@ -26,6 +26,12 @@ PHOTO = PhotoSkyline(np.full(WIDTH_PX, np.nan), np.zeros(WIDTH_PX), WIDTH_PX, HE
 HILLS = field_from(
     lambda east, north: 60.0 * np.sin(east / 150.0) * np.cos(north / 170.0) + 0.1 * north, 81, 25.0
 )
+
+
+SMOOTH = field_from(
+    lambda east, north: 100.0 * np.sin(east / 500.0) * np.cos(north / 600.0), 81, 25.0
+)
+ROUGH = field_of(1000.0 + fractal(90, 100, 900.0, seed=11), 30.0)
 
 
 def view_of(heading_deg=0.0, north_m=-900.0, height_m=250.0, fov_deg=60.0):
@@ -58,6 +64,36 @@ def test_cells_show_their_own_place_within_half_a_cell(laid):
     off = np.abs(found.values - np.stack([east_m, north_m], axis=-1)).max(axis=-1)[found.is_seen]
     assert found.is_seen.sum() > 5000
     assert np.mean(off <= 0.5 * grid.cell_m) >= 0.95
+
+
+@pytest.mark.parametrize(
+    ("terrain", "place_m"), [(SMOOTH, (0.0, -900.0)), (ROUGH, (1400.0, -1300.0))]
+)
+@pytest.mark.parametrize("cell_m", [4.0, 8.0])
+def test_cells_show_their_own_place_on_smooth_and_on_rough_ground(terrain, place_m, cell_m):
+    ground_m = float(terrain.height_at(easting_m=place_m[0], northing_m=place_m[1]))
+    pose = candidate_at(*place_m, 0.0, -15.0, 4.0, 60.0, eye_elevation_m=ground_m + 250.0)
+    view = Viewer(terrain, curvature=Curvature(enabled=False)).ground_view(pose, PHOTO)
+    grid = grid_of([view], cell_m)
+    found = lay(view, picture_of(view), grid)
+    assert found.is_seen.sum() > 2000
+    middles_m = np.stack(grid.middles_m(), axis=-1)
+    off_m = np.abs(found.values - middles_m).max(axis=-1)[found.is_seen]
+    assert np.mean(off_m <= 0.5 * cell_m) >= 0.95
+
+
+def test_cells_beside_hidden_ground_are_left_out():
+    """A wall of 60 m, 300 m before a camera 100 m up, hides 450 m of the plane behind it."""
+    wall = field_from(lambda east, north: np.where(np.abs(north) < 1.0, 60.0, 0.0), 101, 20.0)
+    pose = candidate_at(0.0, -300.0, 0.0, -10.0, eye_elevation_m=100.0)
+    view = Viewer(wall, curvature=Curvature(enabled=False)).ground_view(pose, PHOTO)
+    grid = Grid(-2.0, 700.0, 4.0, 250, 2)
+    found = lay(view, np.ones((HEIGHT_PX, WIDTH_PX, 1), dtype=np.uint8), grid)
+    _, north_m = grid.middles_m()
+    shown_m = north_m[found.is_seen]
+    behind_m = shown_m[shown_m > 0.0].min()
+    # A pixel is 11 m long there: two, less the half pixel by which ground must be hidden.
+    assert behind_m == pytest.approx(450.0 + 1.5 * 11.0, abs=4.0)
 
 
 def test_cells_that_are_hidden_or_outside_the_photo_are_empty(laid):

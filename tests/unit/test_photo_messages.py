@@ -170,7 +170,7 @@ class TestWarnings:
         photo_folder(tmp_path)
         photos_in(tmp_path)
         assert caplog.messages == [
-            f"{tmp_path}: 9 files are left out, which are no pictures: Thumbs.db, a.json, a.xmp "
+            f"{tmp_path}: 9 files are left out, which are not pictures: Thumbs.db, a.json, a.xmp "
             "and 1 more .xmp, map.tif, raw.cr2, trace.csv, video.THM, video.mp4"
         ]
 

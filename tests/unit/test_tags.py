@@ -3,9 +3,11 @@
 from datetime import datetime
 
 import pytest
-from PIL.ExifTags import Base
+from PIL import Image
+from PIL.ExifTags import IFD, Base
 from PIL.TiffImagePlugin import IFDRational
 
+from skyline.photo.photo import read_noted_time
 from skyline.photo.tags import leading_number, number_of, positive, time_of
 
 
@@ -31,3 +33,15 @@ def test_a_time_is_one_of_the_camera_s_clock():
     assert time_of(taken, Base.DateTimeOriginal) == datetime(2026, 6, 21, 12, 30, 5)
     assert time_of(taken, Base.DateTime) is None
     assert time_of({Base.DateTime: "    :  :     :  :  "}, Base.DateTime) is None
+
+
+def test_a_file_notes_when_its_photo_was_taken(tmp_path):
+    image = Image.new("RGB", (60, 40))
+    image.save(tmp_path / "without.jpg")
+    exif = Image.Exif()
+    exif.get_ifd(IFD.Exif)[Base.DateTimeOriginal] = "2026:07:14 15:04:00"
+    image.save(tmp_path / "with.jpg", exif=exif)
+    (tmp_path / "trace.csv").write_text("# width=60 height=40\ncolumn_px,row_px\n1,2\n")
+    assert read_noted_time(tmp_path / "with.jpg") == datetime(2026, 7, 14, 15, 4)
+    assert read_noted_time(tmp_path / "without.jpg") is None
+    assert read_noted_time(tmp_path / "trace.csv") is None

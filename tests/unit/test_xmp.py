@@ -168,7 +168,7 @@ def test_a_panorama_in_a_damaged_packet_is_not_taken_for_a_lens(tmp_path, damage
     packet = damage(xmp_packet(**WHOLE, Title="sphere")).encode()
     photo = read_photo(written(tmp_path / "a.jpg", xmp=packet))
     assert photo.fov_deg is None
-    assert "XMP speaks of a panorama, and is damaged" in photo.lens.reason
+    assert "XMP mentions a panorama, but is damaged" in photo.lens.reason
 
 
 def test_a_damaged_packet_of_other_things_leaves_the_lens(tmp_path):

@@ -26,7 +26,7 @@ _NUMBER = re.compile(
 def with_constants(text: str, page: str, *, keep_comments: bool = True) -> str:
     """Return the text of a page with the constants' present values.
 
-    Raises `InputError` with the page and the lines where a path leads to no number, or where no
+    Raises `InputError` with the page and the lines if a path does not lead to a number, or if no
     number stands before a path.
     """
     wrong: list[str] = []
@@ -53,7 +53,7 @@ def with_constants(text: str, page: str, *, keep_comments: bool = True) -> str:
 
 
 def _value_of(path: str) -> Any:
-    """Return the object at a dotted path, as `skyline.pose.RIGHT_WITHIN_M`."""
+    """Return the object at a dotted path, such as `skyline.pose.RIGHT_WITHIN_M`."""
     value: Any = None
     for name in path.split("."):
         value = import_module(name) if value is None else _part(value, name)

@@ -36,8 +36,8 @@ _FOUND = {"renderings", "planner", "group", "matcher", "queries", "search", *_SH
 def draw_folder(folder: Path, out: Path) -> list[Path]:
     """Draw the records in a folder; return the files written, the page last.
 
-    Other files of JSON are passed over. Raises `InputError` for a folder without records, and where
-    a file cannot be written.
+    Other JSON files are ignored. Raises `InputError` for a folder without records, and if a file
+    cannot be written.
     """
     records = dict(_records_in(folder))
     if not records:
@@ -69,7 +69,7 @@ def _records_in(folder: Path) -> Iterator[tuple[str, dict[str, Any]]]:
 
 
 def _about(record: Mapping[str, Any]) -> Iterator[str]:
-    """Yield how a record was measured, as far as it says."""
+    """Yield how a record was measured, as far as it is known."""
     if command := record.get("command"):
         yield f"`{command}`"
     machine = record.get("machine") or {}
@@ -102,7 +102,7 @@ def diagram_of(rows: Sequence[Row]) -> Figure | None:
 
 
 def _searched_alike(rows: Sequence[Row]) -> Iterator[tuple[str, list[Row]]]:
-    """Yield the rows that differ in their stores alone, with what they have in common."""
+    """Yield rows that differ only in their stores, with what they share."""
     keys = ("matcher", "queries", "search")
     for alike in dict.fromkeys(tuple(row[key] for key in keys) for row in rows):
         some = [row for row in rows if tuple(row[key] for key in keys) == alike]

@@ -91,7 +91,7 @@ def count(number: float) -> str:
 
 
 def digits(value: float, number: int = 2) -> str:
-    """Return a value with so many significant digits, never with an exponent."""
+    """Return a value with ``number`` digits, never with an exponent."""
     if not value:
         return "0"
     return np.format_float_positional(value, number, unique=False, fractional=False).rstrip(".")

@@ -1,4 +1,4 @@
-"""The tables of README and docs/, each made from the records."""
+"""The tables of README and docs/, made from the records."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
@@ -21,7 +21,15 @@ from skyline_bench.documents.results import (
 from skyline_bench.measuring import Row
 from skyline_bench.paper import TABLE_1, Setup
 from skyline_bench.queries.manifest import LOCATE, REFUSE
-from skyline_bench.search.trials import ALL, CLASSES, THIRDS, by_planner, interpolated
+from skyline_bench.search.trials import (
+    ALL,
+    CLASSES,
+    THIRDS,
+    as_large,
+    by_planner,
+    gain_points,
+    interpolated,
+)
 
 # --- skylines -------------------------------------------------------------------------------
 
@@ -124,29 +132,25 @@ COMPARED = (
     ("Davos", "ours", "placing_davos"),
     ("Owens Valley", "the paper's", "paper_figure7_owens"),
     ("Owens Valley", "ours", "placing_owens"),
+    ("Andes", "ours", "placing_andes"),
 )
 """Terrain, planner and matcher, and the record in which both kinds of stores were searched."""
 
 
 def adaptive(results: Results) -> Table:
-    """Return a row for each adaptive store, held to uniform grids.
+    """Return a row for each adaptive store, held to a uniform grid of as many renderings.
 
-    The share of a uniform grid of as many renderings is interpolated between the grids that were
-    searched. The two tie where that share is within the adaptive store's interval of 95 %.
+    If such a grid was searched for the same queries, the two tie unless their difference is greater
+    than its interval of 95 %. Else its share is interpolated between the grids that were searched,
+    and the two tie where the share is within the adaptive store's interval of 95 %.
     """
     table = Table()
     for terrain, planner, record in COMPARED:
-        grids, plans = by_planner(results.rows(record))
-        for plan in plans:
-            x, y = ([one[key] for one in grids] for key in ("renderings", "within_200m"))
-            uniform = interpolated(x, y, plan["renderings"])
-            if uniform is None:
+        rows = results.rows(record)
+        for plan in by_planner(rows)[1]:
+            held = _held_to_equal(plan, rows) or _held_to_others(plan, rows)
+            if held is None:
                 continue
-            low = plan["within_200m_low"]
-            high = plan["within_200m_high"]
-            better = "adaptive" if uniform < low else "uniform" if uniform > high else "tie"
-            after = int(np.searchsorted(x, plan["renderings"]))
-            ends = grids[max(after - 1, 0) : after + 1]
             table.append(
                 {
                     "terrain": linked(terrain, record),
@@ -155,16 +159,47 @@ def adaptive(results: Results) -> Table:
                     "queries": f"`{plan['queries']}`",
                     "n": count(plan["n"]),
                     "renderings": count(plan["renderings"]),
-                    "adaptive, measured": with_interval(plan),
-                    "uniform, interpolated": percent(uniform),
-                    "between, measured": ", ".join(
-                        f"{percent(one['within_200m'])} of {count(one['renderings'])}"
-                        for one in ends
-                    ),
-                    "better": better,
+                    "adaptive": with_interval(plan),
+                    **held,
                 }
             )
     return table
+
+
+def _held_to_equal(plan: Row, rows: Sequence[Row]) -> Row | None:
+    """Hold a plan to a grid of as many renderings, if one searched the same queries."""
+    grid = as_large(plan, rows)
+    if grid is None or "each_within_200m" not in plan:
+        return None
+    gain, half = gain_points(plan, grid)
+    return {
+        "uniform": percent(grid["within_200m"]),
+        "measured on": f"{count(grid['renderings'])}",
+        "difference, points": f"{gain:+.1f} (± {half:.1f})",
+        "better": "tie" if abs(gain) <= half else "adaptive" if gain > 0.0 else "uniform",
+    }
+
+
+def _held_to_others(plan: Row, rows: Sequence[Row]) -> Row | None:
+    """Hold a plan to what lies between two grids; None if it has fewer renderings or more."""
+    grids = by_planner(rows)[0]
+    x = [grid["renderings"] for grid in grids]
+    uniform = interpolated(x, [grid["within_200m"] for grid in grids], plan["renderings"])
+    if uniform is None:
+        return None
+    low = plan["within_200m_low"]
+    high = plan["within_200m_high"]
+    after = int(np.searchsorted(x, plan["renderings"]))
+    ends = [
+        f"{percent(grid['within_200m'])} of {count(grid['renderings'])}"
+        for grid in grids[max(after - 1, 0) : after + 1]
+    ]
+    return {
+        "uniform": percent(uniform),
+        "measured on": f"between {' and '.join(ends)}",
+        "difference, points": f"{100.0 * (plan['within_200m'] - uniform):+.1f}",
+        "better": "adaptive" if uniform < low else "uniform" if uniform > high else "tie",
+    }
 
 
 def planning(results: Results) -> Table:
@@ -347,6 +382,11 @@ def placing_davos(results: Results) -> Table:
 def placing_owens(results: Results) -> Table:
     """Return planned stores of Owens Valley beside uniform ones."""
     return _placing(results, "placing_owens")
+
+
+def placing_andes(results: Results) -> Table:
+    """Return planned stores of the Andes beside uniform ones."""
+    return _placing(results, "placing_andes")
 
 
 def _placing(results: Results, record: str) -> Table:
@@ -655,11 +695,12 @@ TABLES: Mapping[str, Callable[[Results], Table]] = {
     one.__name__.replace("_", "-"): one
     for one in (
         speed, adaptive, how_often, skylines, planning, predictors, places, other_terrain,
-        placing_davos, placing_owens, figure_7, same_place, confidence, photographs, known_places,
-        made_photos, names_and_pixels, summits, on_a_summit, masks, large_area, opening,
+        placing_davos, placing_owens, placing_andes, figure_7, same_place, confidence, photographs,
+        known_places, made_photos, names_and_pixels, summits, on_a_summit, masks, large_area,
+        opening,
     )
 }  # fmt: skip
-"""Tables by the names that pages have them under."""
+"""Tables by the names that pages have for them."""
 
 
 def markdown(table: Sequence[Mapping[str, Any]]) -> str:

@@ -39,7 +39,8 @@ STRANGERS = "strangers"
 """Queries of terrain outside the store."""
 
 UNMARKED = ("unmarked panoramas", "unmarked fisheyes")
-"""Queries that are not of a pin-hole camera, although nothing says so: none should be trusted."""
+"""Queries that do not come from a pin-hole camera, although nothing says so: none should be
+trusted."""
 
 KINDS: Mapping[str, QueryConfig] = {
     "plain": QueryConfig(),
@@ -68,7 +69,7 @@ and one pose unless it is aligned; the kinds of `SAME_PLACE` have the same place
 OF_ONE_AREA = ("plain", "white", OTHER_DEM, "occluded", "bent", "aligned")
 SAME_PLACE = ("alone", "together", "with a stranger")
 SEARCHED_WHOLE = ("together", "with a stranger", STRANGERS)
-"""Kinds whose queries have no one place about which a search could be narrowed."""
+"""Kinds whose queries have no single place about which a search could be narrowed."""
 
 
 def make_kind(
@@ -109,7 +110,7 @@ def make_kind(
 def distance_m(query: Query) -> float:
     """Return the mean distance of the photos' skylines; 0 without any.
 
-    What fills an image without a skyline stands right before it.
+    Whatever fills an image without a skyline stands right in front of it.
     """
     return float(np.mean(np.nan_to_num([photo.distance_m for photo in query])))
 

@@ -28,7 +28,7 @@ _ZENITH_RGB = np.array([84.0, 134.0, 205.0])
 _CLOUD_RGB = np.array([240.0, 241.0, 243.0])
 
 _KOSCHMIEDER = 3.912
-"""At the visibility 2 % of a dark thing's contrast are left (Koschmieder 1924)."""
+"""At the visibility, 2 % of a dark object's contrast is left (Koschmieder 1924)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +130,7 @@ def _texture(
 ) -> Float64Array:
     """Return patches (M,) about 0, fixed to the ground.
 
-    The finest patches are near by only.
+    The finest patches are only nearby.
     """
     total = np.zeros_like(distance_m)
     count = 128  # Cells of a pattern, which repeats
@@ -146,7 +146,7 @@ def _texture(
 def _image_noise(
     generator: np.random.Generator, shape: tuple[int, int], scale_px: float
 ) -> Float64Array:
-    """Return smooth noise (H, W) of deviation about 1, wider than high."""
+    """Return smooth noise (H, W) of deviation about 1, stretched sideways."""
     cells = [max(round(2.0 * shape[0] / scale_px), 2), max(round(shape[1] / scale_px), 2)]
     coarse = generator.standard_normal((cells[0] + 3, cells[1] + 3)).astype(np.float32)
     smooth = cv2.resize(coarse, shape[::-1], interpolation=cv2.INTER_CUBIC)
@@ -163,8 +163,8 @@ def photograph(
 ) -> NDArray[np.uint8]:
     """Return an RGB photograph (H, W, 3) taken from one viewpoint.
 
-    ``renderer`` should be at least twice as fine as the photograph's own pixels, since the
-    skyline in the picture is as good as its depth images.
+    ``renderer`` should be at least twice as fine as the photograph's own pixels, since the skyline
+    in the picture is only as good as its depth images.
     """
     generator = np.random.default_rng(seed)
     rays = camera.rays()

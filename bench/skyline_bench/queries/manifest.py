@@ -20,7 +20,7 @@ LOCATE = "locate"
 REFUSE = "refuse"
 """A photograph for which no answer is right."""
 EXTRACT = "extract"
-"""A photograph that is measured by its skyline alone."""
+"""A photograph of which only the skyline is measured."""
 KINDS = (LOCATE, REFUSE, EXTRACT)
 
 
@@ -65,7 +65,7 @@ class Photograph:
     def true_row_px(self, width_px: int, height_px: int) -> Float64Array | None:
         """Return the true row (W,) of a photo's skyline in each column.
 
-        None if it is not known. The row is NaN in columns without a skyline.
+        Returns None if unknown. The row is NaN in columns without a skyline.
         """
         if self.trace is not None:
             true = read_trace(self.trace)

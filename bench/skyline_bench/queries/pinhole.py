@@ -87,7 +87,7 @@ class Camera:
         """Project a skyline all the way round into the image.
 
         Grid azimuths (N,) ascend over one turn. Tangents (N,) of the elevation angle are up over
-        *horizontal* distance, NaN where not known.
+        *horizontal* distance; NaN where unknown.
 
         Return the topmost row (W,) of the curve at each column's centre, straight between the
         curve's samples: it may lie outside the image, and is NaN where nothing is known. And the

@@ -1,9 +1,9 @@
 """Synthetic queries: skylines of photos with known poses.
 
 A synthetic query holds what a matcher gets for a photo: the skyline's row in each column of an
-image, with the errors of an extraction, and a field of view that is nearly right. Each query is
-drawn from a seed by itself: query k of a seed is the same whatever the number of queries, and its
-place and pose are the same whatever the noise, the occluders or the elevation model.
+image, with the errors of an extraction, and a field of view that is nearly right. Each query has a
+seed of its own: query k of a seed is the same whatever the number of queries, and its place and
+pose are the same whatever the noise, the occluders or the elevation model.
 """
 
 import math
@@ -31,7 +31,7 @@ _MAX_DRAWS = 10_000
 _POSE, _ERRORS, _MASKS, _OCCLUDERS, _LENS, _MAPPING = range(6)
 """Draws, each from a generator of its own."""
 _SMOOTH_DEG = 1.0
-"""How far along a skyline the correlation of smooth errors drops to 1/e."""
+"""Distance along a skyline at which the correlation of smooth errors drops to 1/e."""
 _MASKED_RUNS = 2
 _NOTICED = 0.5
 """Share of the things in front that an extraction notices and masks; the tops of the others stay in
@@ -177,7 +177,7 @@ def make_queries_together(
     seed: int = 0,
     config: QueryConfig | None = None,
 ) -> tuple[tuple[SyntheticQuery, ...], ...]:
-    """Make so many queries at each of ``count`` places; see `make_queries`."""
+    """Make several queries at each of ``count`` places; see `make_queries`."""
     entropies = [[[seed, index, photo] for photo in range(photos)] for index in range(count)]
     return tuple(_queries(terrain, bounds_m, entropies, config or QueryConfig()))
 

@@ -171,6 +171,8 @@ CLASSES = {"< 150 m": (0.0, 150.0), "150-400 m": (150.0, 400.0), "> 400 m": (400
 
 _AHEAD = 3.0
 """Difference of scores from which a pose fits clearly better."""
+_AS_LARGE = math.log(1.1)
+"""Stores whose numbers of places differ by less, as logarithms, are compared as equally large."""
 _LEAST_SHARE = 1e-9
 """Cells that are less probable than this, if all cells were 1, count as this."""
 _LEAST_M = 1e-3
@@ -225,6 +227,7 @@ def summarize(trials: Sequence[Trial], miss_m: float, seed: int) -> Row:
         "within_200m": float(right.mean()),
         "within_200m_low": float(share.low),
         "within_200m_high": float(share.high),
+        "each_within_200m": "".join("1" if one else "0" for one in right),
         "within_1km": float((found <= ROUGHLY_WITHIN_M).mean()),
         "median_m": float(np.median(error_m)),
         "mean_m": float(error_m.mean()),
@@ -299,6 +302,27 @@ def against_uniform(rows: Sequence[Row]) -> list[Row]:
             }
         )
     return held
+
+
+def as_large(plan: Row, rows: Iterable[Row]) -> Row | None:
+    """Return the uniform store with the number of places of a planned one.
+
+    The numbers differ by a tenth at most; None where there is no such store.
+    """
+    uniform, _ = by_planner(rows)
+    off = [abs(math.log(row["renderings"] / plan["renderings"])) for row in uniform]
+    nearest = int(np.argmin(off)) if off else 0
+    return uniform[nearest] if off and off[nearest] < _AS_LARGE else None
+
+
+def gain_points(plan: Row, grid: Row) -> tuple[float, float]:
+    """Return by how many points a plan finds more, and the half width of 95 %.
+
+    Both searched the same queries, so only those count that one of them finds alone.
+    """
+    gains = np.array([int(one) for one in plan["each_within_200m"]])
+    gains -= np.array([int(one) for one in grid["each_within_200m"]])
+    return 100.0 * float(gains.mean()), 196.0 * float(gains.std()) / math.sqrt(len(gains))
 
 
 def interpolated(x: Sequence[float], y: Sequence[float], at: float) -> float | None:

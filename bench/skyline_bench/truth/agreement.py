@@ -41,7 +41,7 @@ _ASIDE = 16.0 * EPSILON
 """How far aside a ray may be, a unit of depth."""
 
 _NEAR_PX = 0.008
-"""The error that heights next to the eye may cost before the horizon path turns to float64."""
+"""The error that heights next to the eye may cause before the horizon path turns to float64."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -223,7 +223,7 @@ def measure(path: RenderPath, case: HardCase, quick: bool = False) -> Row:
 
 
 def stability(record: options.Record = None, quick: options.Quick = False) -> None:
-    """Each hard case by all renderers that have a bound for it.
+    """Each hard case, by all renderers that have a bound for it.
 
     The exit code is 1 if a case fails. n is the number of columns that are
     compared.

@@ -1,0 +1,117 @@
+r"""Posteriors of photos that one person took on one walk, each from the others' too.
+
+Between two photos the person went no farther than a distance r, by any way. Nothing else is known,
+so that all places within r are as probable: with D the disc of radius r, whose sum is 1, and
+:math:`p_k` the posterior of photo k alone,
+
+.. math::
+
+    a_k = D_k * (p_{k-1}\, a_{k-1}), \quad b_k = D_{k+1} * (p_{k+1}\, b_{k+1}), \quad
+    p'_k = p_k\, a_k\, b_k / \sum p_k\, a_k\, b_k
+
+a brings what the photos before tell, b what those after it tell (a hidden Markov model's forward
+and backward messages); both are 1 where there is no such photo.
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime
+
+import cv2
+import numpy as np
+
+from skyline.arrays import Float64Array
+from skyline.errors import InputError
+from skyline.match.posterior import Posterior
+
+
+@dataclass(frozen=True, slots=True)
+class DiscSize:
+    """How finely a walk is followed."""
+
+    radius_cells: int = 32
+    """A disc of a greater radius is spread on a coarser grid: its rim is then a cell, or 3 % of the
+    radius, wide. Speeds are known less well."""
+    least_share: float = 1e-12
+    """What a transform leaves below this share of the greatest value is rounding."""
+
+
+_DISC = DiscSize()
+
+
+def check_times(times: Sequence[datetime]) -> None:
+    """Raise `InputError` for times of which some have a zone and some have none."""
+    if len({one.tzinfo is None for one in times}) > 1:
+        raise InputError(
+            "some photos' times have a zone and some have none, as EXIF's; give all alike"
+        )
+
+
+def joined(posteriors: Sequence[Posterior], reach_m: Sequence[float]) -> list[Posterior]:
+    """Return the posterior of each photo of a walk, given all photos.
+
+    Parameters
+    ----------
+    posteriors : sequence of Posterior
+        Of the N photos in the order in which they were taken, each alone, on one grid.
+    reach_m : sequence of float
+        N - 1 distances, the farthest that the person can have gone from photo to photo.
+
+    Raises
+    ------
+    InputError
+        No walk leads through places where the photos can have been taken.
+    """
+    before = list(_messages(posteriors, reach_m))
+    after = list(_messages(posteriors[::-1], reach_m[::-1]))[::-1]
+    together = []
+    for own, first, last in zip(posteriors, before, after, strict=True):
+        product = own.probability * first * last
+        total = product.sum(dtype=np.float64)
+        if not total > 0.0:
+            raise InputError(
+                "no walk at this speed leads past places where these photos can have been taken; "
+                "check their times, give a greater speed, or leave out a photo that another person "
+                "took"
+            )
+        together.append(replace(own, probability=(product / total).astype(np.float32)))
+    return together
+
+
+def _messages(
+    posteriors: Iterable[Posterior], reach_m: Iterable[float]
+) -> Iterator[Float64Array | float]:
+    """Yield what the photos before each one tell of it, up to a factor."""
+    message: Float64Array | float = 1.0
+    yield message
+    for own, away_m in zip(posteriors, reach_m, strict=False):
+        product = own.probability.astype(np.float64) * message
+        most = float(product.max())
+        message = _spread(product / (most or 1.0), away_m / own.cell_m)
+        yield message
+
+
+def _spread(cells: Float64Array, radius: float) -> Float64Array:
+    """Return values (R, C) spread evenly over discs of a radius in cells."""
+    from scipy.signal import fftconvolve  # noqa: PLC0415  (slow to load, seldom needed)
+
+    rows, cols = cells.shape
+    step = max(1, int(radius / _DISC.radius_cells))
+    padded = np.pad(cells, ((0, -rows % step), (0, -cols % step)))
+    shape = padded.shape[0] // step, padded.shape[1] // step
+    summed = padded.reshape(shape[0], step, shape[1], step).sum(axis=(1, 3))
+    spread = fftconvolve(summed, _disc(radius / step), mode="same")
+    spread[spread < _DISC.least_share * spread.max()] = 0.0
+    size = shape[1] * step, shape[0] * step
+    finer = cv2.resize(spread, size, interpolation=cv2.INTER_LINEAR)
+    return np.asarray(finer[:rows, :cols])
+
+
+def _disc(radius: float) -> Float64Array:
+    """Return a disc (2 n + 1, 2 n + 1) of sum 1; cells on its rim count by the part inside."""
+    reach = int(np.ceil(radius))
+    parts = 8  # Of a cell's side.
+    along = (np.arange((2 * reach + 1) * parts) + 0.5) / parts - reach - 0.5
+    is_inside = along[:, np.newaxis] ** 2 + along**2 <= max(radius, 0.5) ** 2
+    cells = is_inside.reshape(2 * reach + 1, parts, 2 * reach + 1, parts).mean(axis=(1, 3))
+    return np.asarray(cells / cells.sum())
