@@ -1,7 +1,7 @@
 """The answer to a photo, as sentences, JSON, rows and tables."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass, field, replace
 from html import escape
 from typing import TYPE_CHECKING, Any, Protocol
@@ -267,11 +267,7 @@ class MatchResult:
         """Return the lines that ``skyline match`` prints."""
         lens = self.skyline.lens
         lines = [f"{printable(self.name) or 'photo'} ({self.seconds:.2f} s)"]
-        if self.answer is not None:
-            sure = _sure_in_words(self.confidence, self.within_m)
-            lines.append(f"the answer is candidate 1{sure}")
-        if self.refusal:
-            lines.append(f"no answer: {self.refusal}")
+        lines += _verdict_lines(self, "candidate 1")
         if self.candidates:
             lines.append("candidates, best first:")
         for number, one in enumerate(self.candidates, start=1):
@@ -397,11 +393,7 @@ class JointResult:
     def to_text(self) -> str:
         """Return the lines that ``skyline match --same-place`` prints."""
         lines = [f"{len(self.results)} photos of one place ({self.seconds:.2f} s)"]
-        if self.answer is not None:
-            sure = _sure_in_words(self.confidence, self.within_m)
-            lines.append(f"the answer is place 1{sure}")
-        if self.refusal:
-            lines.append(f"no answer: {self.refusal}")
+        lines += _verdict_lines(self, "place 1")
         if self.places:
             lines.append("places, best first:")
         for number, one in enumerate(self.places, start=1):
@@ -502,10 +494,15 @@ def _confidence_within(one: Pose, within_m: float | None) -> float | None:
     return one.confidence_1km if within_m == ROUGHLY_WITHIN_M else one.confidence
 
 
-def _sure_in_words(confidence: float | None, within_m: float | None) -> str:
-    if confidence is None or within_m is None:
-        return ""
-    return f", right within {within_m:g} m with confidence {confidence:.2f}"
+def _verdict_lines(result: MatchResult | JointResult, best: str) -> Iterator[str]:
+    """Yield lines on the answer, the best place, and on why there is none."""
+    if result.answer is not None:
+        sure = ""
+        if result.confidence is not None and result.within_m is not None:
+            sure = f", right within {result.within_m:g} m with confidence {result.confidence:.2f}"
+        yield f"the answer is {best}{sure}"
+    if result.refusal:
+        yield f"no answer: {result.refusal}"
 
 
 def _place(one: Pose) -> str:
