@@ -45,7 +45,7 @@ from skyline.match.refine import VIEW_WIDTH, Effort, Particles, Refinement
 from skyline.match.result import NORTHS, to_dataframe
 from skyline.match.retrieval import Retriever
 from skyline.match.search import one_blas_thread
-from skyline.match.shard import Shard
+from skyline.match.shard import LocalShard
 from skyline.match.solver import TEMPERATURE
 from skyline.match.verdict import refusal_of, too_little
 from skyline.photo.image import Picture
@@ -372,7 +372,7 @@ class Orienter(Closeable):
         if elevation_m is not None:
             np.maximum(eyes.eye_elevation_m, elevation_m, out=eyes.eye_elevation_m)
         places = Places.of(self._panoramas.render(eyes), self._position_sd_m / 2.0)
-        return Retriever([[Shard(places, self._scene.ground_m)]])
+        return Retriever([[LocalShard(places, self._scene.ground_m)]])
 
     def _standings(self, noted: NotedPlace) -> list[Standing]:
         """Return the ways of standing at the known place."""

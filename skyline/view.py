@@ -21,6 +21,7 @@ import numpy as np
 from pyproj import CRS
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, Progress, ShortRepr
+from skyline.camera import in_picture
 from skyline.errors import InputError, library, suffix_of
 from skyline.files import write_whole
 from skyline.geodesy.bounds import in_turn
@@ -198,10 +199,10 @@ def peaks_in_picture(
     """Return the peaks within the picture, in the order given."""
     azimuth_deg = [one.azimuth_deg for one in sightings]
     column, row = pose.camera(photo).pixels(azimuth_deg, [one.elevation_tan for one in sightings])
+    shown = in_picture(column, row, photo.width_px, photo.height_px)
     return [
-        SeenPeak(**asdict(one), column_px=x, row_px=y)
-        for one, x, y in zip(sightings, column.tolist(), row.tolist(), strict=True)
-        if 0.0 <= x < photo.width_px and 0.0 <= y < photo.height_px
+        SeenPeak(**asdict(sightings[one]), column_px=float(column[one]), row_px=float(row[one]))
+        for one in np.flatnonzero(shown).tolist()
     ]
 
 
@@ -612,7 +613,7 @@ class Viewer(Closeable):
             )
             edge = np.column_stack(camera.pixels(azimuth_deg, np.tan(np.radians(up_deg))))
             (column_px, row_px), outline_px = edge[0], edge[1:]
-            if not (0.0 <= column_px < photo.width_px and 0.0 <= row_px < photo.height_px):
+            if not in_picture(column_px, row_px, photo.width_px, photo.height_px):
                 continue
             towards = np.radians(azimuth_deg[:1]), np.tan(np.radians(up_deg[:1]))
             hit_m = first_hits_m(self.terrain, eye, self.curvature, *towards, _DISC_STEP_RAD, None)

@@ -30,7 +30,7 @@ from skyline.match.rays import Rays
 from skyline.match.retrieval import Retriever
 from skyline.match.screen import silent
 from skyline.match.search import one_blas_thread
-from skyline.match.shard import Shard
+from skyline.match.shard import LocalShard
 from skyline.match.spread import OpenAreas, Part, distant_shards
 from skyline.pose import Poses
 from skyline.store.layout import PLACES_A_CHUNK
@@ -126,7 +126,7 @@ class _SameArea(OpenAreas):
         ((places, ground),) = self._areas
         self._areas = [(_Again(places, copies), ground)]
 
-    def shard(self, part: Part) -> Shard:
+    def shard(self, part: Part) -> LocalShard:
         return super().shard(replace(part, area=0))
 
 
@@ -154,7 +154,7 @@ class _Search:
         frames = [Frame.local(lon=-170.0 + 340.0 * k / areas, lat=45.0) for k in range(areas)]
         frames = frames if areas > 1 else []
         places = _Again(self._places, copies)
-        shard = Shard(places, ground_of(self._terrain))
+        shard = LocalShard(places, ground_of(self._terrain))
         here = Retriever([[shard]] * areas, frames)
         opening: Opening[OpenAreas] = Opening(
             (self._path, copies), partial(_SameArea, self._path, self._files, copies)

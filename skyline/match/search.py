@@ -21,7 +21,7 @@ from skyline.match.rays import Rays
 from skyline.match.refine import QUICK, WHOLE, Effort, Refinement, together
 from skyline.match.retrieval import Retriever
 from skyline.match.screen import ReportProgress, silent
-from skyline.match.shard import Shard
+from skyline.match.shard import LocalShard, Shard
 from skyline.match.together import JointRefinement
 from skyline.pose import Pose, Poses
 from skyline.render.horizon import RenderedScene
@@ -96,7 +96,7 @@ class FullMatcher(SearchMethod):
         ``terrain`` is the terrain of its places; None where the DEM cannot be read.
         """
         ground = None if terrain is None else ground_of(terrain)
-        shard = Shard(store.places(), ground)
+        shard = LocalShard(store.places(), ground)
         return cls([SearchedArea([shard], scene, Frame(store.header.frame_wkt))])
 
     @classmethod

@@ -9,6 +9,7 @@ import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
@@ -56,22 +57,14 @@ class Turns(Rows):
     peak: Float32Array
 
 
-class Shard:
-    """Places of one elevation model.
-
-    Without ``ground`` the ground around each place is taken to be level.
-    """
-
-    def __init__(self, places: PlaceSource, ground: Ground | None = None) -> None:
-        self._places = places
-        self._ground = ground
+class Shard(Protocol):
+    """Places of one elevation model, in this process or another."""
 
     def __len__(self) -> int:
-        return len(self._places)
+        """Return the number of places."""
 
     def take(self, rows: IntArray) -> Places:
         """Return some places (M,), in order."""
-        return self._places.take(rows)
 
     def screened(
         self,
@@ -87,6 +80,50 @@ class Shard:
         scores of ``least`` or more.
         """
 
+    def alike_places(
+        self, screens: Sequence[Screen], priors: Sequence[Prior], report: ReportProgress = silent
+    ) -> AlikePlaces:
+        """Return all places within all narrowings, with their scores for photos."""
+
+    def rescored(self, screens: Sequence[Screen], rows: IntArray) -> Float32Array:
+        """Return the summed scores of photos at places (M,), in order."""
+
+    def best_turns(self, screen: Screen, rows: IntArray, count: int) -> Turns:
+        """Return the best turns of places (M,)."""
+
+    def fitted(
+        self, rays: Rays, starts: Starts, effort: FitEffort, report: ReportProgress = silent
+    ) -> Poses:
+        """Return the poses fitted from starts, in order."""
+
+
+class LocalShard:
+    """A shard in this process.
+
+    Without ``ground`` the ground around each place is taken to be level.
+    """
+
+    def __init__(self, places: PlaceSource, ground: Ground | None = None) -> None:
+        self._places = places
+        self._ground = ground
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+    def take(self, rows: IntArray) -> Places:
+        """See `Shard.take`."""
+        return self._places.take(rows)
+
+    def screened(
+        self,
+        screens: Sequence[Screen],
+        priors: Sequence[Prior],
+        count: int,
+        least: float = -math.inf,
+        report: ReportProgress = silent,
+    ) -> Alike:
+        """See `Shard.screened`."""
+
         def contains(some: Places) -> BoolArray:
             return np.asarray(np.all([prior.contains(some) for prior in priors], axis=0))
 
@@ -97,7 +134,7 @@ class Shard:
     def alike_places(
         self, screens: Sequence[Screen], priors: Sequence[Prior], report: ReportProgress = silent
     ) -> AlikePlaces:
-        """Return all places within all narrowings, with their scores for photos."""
+        """See `Shard.alike_places`."""
         alike = self.screened(screens, priors, len(self), report=report)
         columns = [
             (one.easting_m, one.northing_m, one.tolerance_m) for one in self._places.blocks()
@@ -109,11 +146,11 @@ class Shard:
         return AlikePlaces(easting_m, northing_m, half_m.astype(np.float64), score)
 
     def rescored(self, screens: Sequence[Screen], rows: IntArray) -> Float32Array:
-        """Return the summed scores of photos at places (M,), in order."""
+        """See `Shard.rescored`."""
         return rescored(_sum_of(screens), self._places, rows)
 
     def best_turns(self, screen: Screen, rows: IntArray, count: int) -> Turns:
-        """Return the best turns of places (M,)."""
+        """See `Shard.best_turns`."""
         groups = range(0, len(rows), CHOSEN_AT_ONCE)
 
         def found(k: int) -> Turns:
@@ -127,7 +164,7 @@ class Shard:
     def fitted(
         self, rays: Rays, starts: Starts, effort: FitEffort, report: ReportProgress = silent
     ) -> Poses:
-        """Return the poses fitted from starts, in order."""
+        """See `Shard.fitted`."""
         means = in_runs(rays, effort.runs)
 
         def fitted(first: int) -> Poses:

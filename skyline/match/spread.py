@@ -21,7 +21,7 @@ from skyline.match.prior import Prior
 from skyline.match.rays import Rays
 from skyline.match.screen import Alike, ReportProgress, Screen, silent
 from skyline.match.search import one_blas_thread
-from skyline.match.shard import Shard, Starts, Turns
+from skyline.match.shard import LocalShard, Starts, Turns
 from skyline.pose import Poses
 from skyline.store.layout import PLACES_A_CHUNK
 from skyline.store.mapped_places import PartOfPlaces, PlaceMap
@@ -60,16 +60,16 @@ class OpenAreas:
                 ground = None if terrain is None else ground_of(terrain)
                 self._areas.append((file.places(), ground))
 
-    def shard(self, part: Part) -> Shard:
+    def shard(self, part: Part) -> LocalShard:
         """Return a part of an area."""
         places, ground = self._areas[part.area]
-        return Shard(PartOfPlaces(places, part.first, part.stop), ground)
+        return LocalShard(PartOfPlaces(places, part.first, part.stop), ground)
 
     def close(self) -> None:
         """Free nothing: the files are mapped."""
 
 
-class DistantShard(Shard):
+class DistantShard:
     """A part of the places of an area that a worker searches."""
 
     def __init__(self, runner: Runner, opening: Opening[OpenAreas], part: Part) -> None:

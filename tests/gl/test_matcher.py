@@ -15,7 +15,7 @@ from skyline.errors import InputError
 from skyline.geodesy.bounds import in_turn
 from skyline.match import search
 from skyline.match.prior import NOTHING_KNOWN
-from skyline.match.shard import Shard
+from skyline.match.shard import LocalShard
 from skyline.match.solver import TEMPERATURE
 from skyline.photo.noted_place import NotedPlace
 from skyline.photo.skyline import Lens, PhotoSkyline
@@ -245,7 +245,7 @@ def test_a_sure_answer_of_the_first_short_list_ends_the_search(terrain, monkeypa
         northing_m=MIDDLE[1] + places.northing_m,
     )
     scene = RenderedScene(terrain, RenderConfig(360))
-    matcher = search.FullMatcher([search.SearchedArea([Shard(places)], scene)])
+    matcher = search.FullMatcher([search.SearchedArea([LocalShard(places)], scene)])
     matcher.found(rays(3, 77.0), NOTHING_KNOWN, lambda step, share: steps.append(step))
     scene.close()
     assert [step for step, _ in groupby(steps)] == ["screening", *["fitting", "refining"] * lists]

@@ -16,7 +16,7 @@ from skyline import Frame, InputError, Narrowing
 from skyline.match.posterior import SHARES, SPREAD, AlikePlaces, Posterior, posterior_of
 from skyline.match.prior import NOTHING_KNOWN, PlacePrior, Prior
 from skyline.match.retrieval import Retriever
-from skyline.match.shard import Shard
+from skyline.match.shard import LocalShard
 from skyline.pose import Ellipse, Poses
 from skyline.report.posterior_files import write_posteriors
 
@@ -150,7 +150,7 @@ def test_a_share_lies_between_none_and_all(share):
 
 def test_places_alike_are_those_within_the_narrowing():
     places = places_of(np.stack([curve(seed, AZIMUTH_DEG) for seed in range(20)]))
-    retriever = Retriever([[Shard(places)]])
+    retriever = Retriever([[LocalShard(places)]])
     every = retriever.alike_places([(rays(7, 120.0), NOTHING_KNOWN)])
     assert len(every) == 20
     assert every.easting_m[every.score.argmax()] == 700.0

@@ -15,7 +15,7 @@ from skyline.errors import InputError
 from skyline.match.lens_prior import LensPrior
 from skyline.match.prior import NOTHING_KNOWN, Narrowing, Prior
 from skyline.match.retrieval import Retriever
-from skyline.match.shard import Shard
+from skyline.match.shard import LocalShard
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +24,7 @@ def places():
 
 
 def retriever_of(places, ground=None):
-    return Retriever([[Shard(places, ground)]])
+    return Retriever([[LocalShard(places, ground)]])
 
 
 def turned(heading_deg, other_deg):
@@ -218,7 +218,7 @@ def test_places_in_several_shards_are_found_as_in_one():
     places = many(2300)
     whole = list(retriever_of(places).shortlists(rays(3, 77.0), 50))
     cuts = [slice(0, 7), slice(7, 1500), slice(1500, 2300)]
-    shards = [Shard(places[cut]) for cut in cuts]
+    shards = [LocalShard(places[cut]) for cut in cuts]
     parts = list(Retriever([shards]).shortlists(rays(3, 77.0), 50))
     assert len(parts) == len(whole) == 2
     for one, other in zip(parts, whole, strict=True):

@@ -9,7 +9,7 @@ from place_scenes import AZIMUTH_DEG, curve, places_of, rays
 from store_rows import PLACES_HEADER
 
 from skyline.match.retrieval import Retriever
-from skyline.match.shard import Shard
+from skyline.match.shard import LocalShard
 from skyline.match.spread import distant_shards, opening_of
 from skyline.store.layout import columns_of
 from skyline.store.read import open_store
@@ -46,7 +46,7 @@ def test_workers_find_what_one_process_finds_to_the_bit(store):
     assert [len(shard) for shard in shards] == [1024, 1024, 952]
     spread = list(Retriever([shards], at_once=3).shortlists(rays(3, 77.0), 20))
     with open_store(store) as file:
-        whole = list(Retriever([[Shard(file.places())]]).shortlists(rays(3, 77.0), 20))
+        whole = list(Retriever([[LocalShard(file.places())]]).shortlists(rays(3, 77.0), 20))
     assert len(spread) == len(whole) == 2
     for one, other in zip(spread, whole, strict=True):
         for name, column in one.columns().items():
