@@ -24,6 +24,7 @@ from skyline.match.solver import (
     EYE_HEIGHT,
     HEADING,
     LOG_SCALE,
+    NORTH,
     PITCH,
     ROLL,
     WARP,
@@ -190,7 +191,7 @@ class KnownCamera:
         pose = viewer.pose(lon=lon, lat=lat, heading_deg=about_deg, fov_deg=rays.fov_deg)
         priors = SolverPriors()
         sds = np.concatenate([np.full(WARP, np.inf), rays.warp_sd])
-        sds[[EAST, EAST + 1]] = position_sd_m
+        sds[[EAST, NORTH]] = position_sd_m
         # An even distribution up to the greatest error has this deviation.
         sds[HEADING] = math.radians(slack_deg) / math.sqrt(3.0)
         sds[PITCH], sds[ROLL] = priors.pitch_sd_rad, priors.roll_sd_rad
@@ -352,8 +353,10 @@ class _Fit:
         changes[:, 1, HEADING:] = by_tan[:, :angles]
         # The point's own direction, as the eye moves.
         moved = np.zeros((len(column), 2, UP + 1))
-        moved[:, 0, EAST], moved[:, 0, EAST + 1] = -cosine / away_m, sine / away_m
-        moved[:, 1, EAST], moved[:, 1, EAST + 1] = tan * sine / away_m, tan * cosine / away_m
+        moved[:, 0, EAST] = -cosine / away_m
+        moved[:, 0, NORTH] = sine / away_m
+        moved[:, 1, EAST] = tan * sine / away_m
+        moved[:, 1, NORTH] = tan * cosine / away_m
         moved[:, 1, UP] = -1.0 / away_m
         changes[:, :, : UP + 1] -= moved
         to_px = np.linalg.inv(camera.spans(column, row))
@@ -395,7 +398,7 @@ class _Fit:
     def _over_ground(self, state: Float64Array) -> tuple[float, Float64Array]:
         """Return how much higher an eye is than usual, and its derivatives (P,)."""
         terrain = self.viewer.terrain
-        at = state[EAST : EAST + 1], state[EAST + 1 : EAST + 2]
+        at = state[EAST : EAST + 1], state[NORTH : NORTH + 1]
         ground_m = float(terrain.height_at(easting_m=at[0], northing_m=at[1])[0])
         if math.isnan(ground_m):
             return 0.0, np.zeros(len(state))
