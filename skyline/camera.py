@@ -178,7 +178,7 @@ def in_picture(
     height_px: int,
     margin_px: float = 0.0,
 ) -> BoolArray:
-    """Return which pixels lie in a picture, or within a margin around it.
+    """Return which pixels lie in a picture or a margin around it.
 
     NaN is outside.
     """

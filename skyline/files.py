@@ -92,7 +92,7 @@ def write_whole(path: Path, content: bytes | str) -> None:
 
 @contextmanager
 def appearing(path: Path) -> Iterator[Path]:
-    """Yield a temporary name for a file, which gets its own at the end.
+    """Yield a file's temporary name; give it its own at the end.
 
     So a file appears whole or not at all, even if another process is writing it.
     """
