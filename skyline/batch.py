@@ -60,13 +60,13 @@ class Entry:
     label: str = ""
     """The ``id`` or ``name`` that a list gives it."""
     time: datetime | None = field(default=None, repr=False)
-    """When it was taken, as a list gives it; by default as its file notes it. No answer depends on
-    it, nor does a digest of the entry, which is of its text."""
+    """When it was taken, as a list gives it; by default as its file notes it. Neither an answer nor
+    the digest of an entry's text depends on it."""
 
     def taken(self) -> datetime:
         """Return when the photo was taken.
 
-        Raises `InputError` where nothing tells it.
+        Raises `InputError` if neither the list nor the file says so.
         """
         taken = self.time or read_noted_time(self.path)
         if taken is None:
@@ -210,7 +210,7 @@ def _entry(table: Table, row: Row, common: Entry) -> Entry:
 
 
 def _time_in(row: Row) -> datetime:
-    """Return a row's time; raises `InputError` for a text that is none."""
+    """Return a row's time; raises `InputError` for any other text."""
     text = row["time"]
     with suppress(ValueError):
         if "T" in text or " " in text:

@@ -178,9 +178,9 @@ def in_picture(
     height_px: int,
     margin_px: float = 0.0,
 ) -> BoolArray:
-    """Return which pixels lie in a picture, or up to a margin outside it.
+    """Return which pixels lie in a picture or a margin around it.
 
-    NaN lies nowhere.
+    NaN is outside.
     """
     column, row = np.asarray(column_px), np.asarray(row_px)
     edge_px = 0.5 + margin_px

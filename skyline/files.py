@@ -92,9 +92,9 @@ def write_whole(path: Path, content: bytes | str) -> None:
 
 @contextmanager
 def appearing(path: Path) -> Iterator[Path]:
-    """Yield the name under which a file is written; at the end of the block it gets its own.
+    """Yield a file's temporary name; give it its own at the end.
 
-    So a file appears whole or not at all, also where another process writes it now.
+    So a file appears whole or not at all, even if another process is writing it.
     """
     partial = path.with_name(f".{path.name}.{uuid4().hex[:12]}.partial")
     try:
@@ -325,7 +325,7 @@ def version_of(path: str | Path) -> tuple[int, int, int] | None:
 
 
 def digest_of(*parts: object, digits: int = 12) -> str:
-    """Return a digest of what names files: their names, versions and settings, hexadecimal."""
+    """Return a hexadecimal digest of names, versions and settings of files."""
     # Names of files are bytes, which need not be UTF-8.
     return hashlib.sha256(repr(parts).encode("utf-8", "surrogateescape")).hexdigest()[:digits]
 

@@ -16,7 +16,7 @@ from skyline.camera import MAX_PANORAMA_DEG, Camera
 EAST, NORTH, UP, HEADING = range(4)
 """First rows of `skyline.pose.Pose.covariance`; the others follow the heading."""
 PIXEL_SD_PX = 1.0
-"""Standard deviation of a marked pixel's column and row: as well as a hand draws."""
+"""Standard deviation of a marked pixel's column and row: the accuracy of drawing by hand."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,7 +1,7 @@
-r"""Posteriors of photos that one person took on one walk, each from the others' too.
+r"""Joint posteriors of photos that one person took on one walk.
 
 Between two photos the person went no farther than a distance r, by any way. Nothing else is known,
-so that all places within r are as probable: with D the disc of radius r, whose sum is 1, and
+so all places within r are equally probable: with D the disc of radius r, whose sum is 1, and
 :math:`p_k` the posterior of photo k alone,
 
 .. math::
@@ -9,8 +9,8 @@ so that all places within r are as probable: with D the disc of radius r, whose 
     a_k = D_k * (p_{k-1}\, a_{k-1}), \quad b_k = D_{k+1} * (p_{k+1}\, b_{k+1}), \quad
     p'_k = p_k\, a_k\, b_k / \sum p_k\, a_k\, b_k
 
-a brings what the photos before tell, b what those after it tell (a hidden Markov model's forward
-and backward messages); both are 1 where there is no such photo.
+a has what the earlier photos tell, and b what the later ones tell (the forward and backward
+messages of a hidden Markov model); each is 1 if there is no such photo.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -31,16 +31,16 @@ class DiscSize:
 
     radius_cells: int = 32
     """A disc of a greater radius is spread on a coarser grid: its rim is then a cell, or 3 % of the
-    radius, wide. Speeds are known less well."""
+    radius, wide. Speeds are known less exactly."""
     least_share: float = 1e-12
-    """What a transform leaves below this share of the greatest value is rounding."""
+    """Values below this share of the greatest one are rounding errors of the transform."""
 
 
 _DISC = DiscSize()
 
 
 def check_times(times: Sequence[datetime]) -> None:
-    """Raise `InputError` for times of which some have a zone and some have none."""
+    """Raise `InputError` if only some of the times have a zone."""
     if len({one.tzinfo is None for one in times}) > 1:
         raise InputError(
             "some photos' times have a zone and some have none, as EXIF's; give all alike"
@@ -53,9 +53,9 @@ def joined(posteriors: Sequence[Posterior], reach_m: Sequence[float]) -> list[Po
     Parameters
     ----------
     posteriors : sequence of Posterior
-        Of the N photos in the order in which they were taken, each alone, on one grid.
+        The posteriors of the N single photos, in the order in which they were taken, on one grid.
     reach_m : sequence of float
-        N - 1 distances, the farthest that the person can have gone from photo to photo.
+        N - 1 distances: the farthest that the person can have gone from photo to photo.
 
     Raises
     ------
@@ -81,7 +81,7 @@ def joined(posteriors: Sequence[Posterior], reach_m: Sequence[float]) -> list[Po
 def _messages(
     posteriors: Iterable[Posterior], reach_m: Iterable[float]
 ) -> Iterator[Float64Array | float]:
-    """Yield what the photos before each one tell of it, up to a factor."""
+    """Yield what the earlier photos tell of each, up to a factor."""
     message: Float64Array | float = 1.0
     yield message
     for own, away_m in zip(posteriors, reach_m, strict=False):

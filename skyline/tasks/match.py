@@ -504,7 +504,7 @@ class _Run:
     def _write_posteriors(
         self, found: Sequence[MatchResult | JointResult], matcher: Matcher
     ) -> None:
-        """Write the posterior of each photo, or the one of all photos of one place."""
+        """Write the posterior of each photo, or of one place."""
         named = [one.results[0] if isinstance(one, JointResult) else one for one in found]
         names = [one.name for one in named]
         with self._listener.progress("mapping probabilities") as progress:

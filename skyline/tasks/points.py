@@ -85,7 +85,7 @@ def orient_by_points(task: PointsTask, listener: Listener) -> PointsFit:
 
 
 def _standing(task: PointsTask, viewer: Viewer, photo: PhotoSkyline) -> KnownCamera:
-    """Return the camera at the place that is given, or that the photo notes."""
+    """Return the camera at the given place, or the photo's own."""
     place = task.at.place_of(photo, str(task.photo))
     if not place.position_sd_m > 0.0:
         raise InputError(

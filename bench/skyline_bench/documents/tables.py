@@ -138,11 +138,11 @@ COMPARED = (
 
 
 def adaptive(results: Results) -> Table:
-    """Return a row for each adaptive store, held to a uniform grid of as many renderings.
+    """Compare each adaptive store with an equally large uniform grid.
 
     If such a grid was searched for the same queries, the two tie unless their difference is greater
-    than its interval of 95 %. Else its share is interpolated between the grids that were searched,
-    and the two tie where the share is within the adaptive store's interval of 95 %.
+    than its 95 % interval. Otherwise its share is interpolated between the grids that were
+    searched, and the two tie if the share is within the adaptive store's 95 % interval.
     """
     table = Table()
     for terrain, planner, record in COMPARED:
@@ -167,7 +167,7 @@ def adaptive(results: Results) -> Table:
 
 
 def _held_to_equal(plan: Row, rows: Sequence[Row]) -> Row | None:
-    """Hold a plan to a grid of as many renderings, if one searched the same queries."""
+    """Compare a plan with an equally large grid, if any was searched."""
     grid = as_large(plan, rows)
     if grid is None or "each_within_200m" not in plan:
         return None
@@ -181,7 +181,7 @@ def _held_to_equal(plan: Row, rows: Sequence[Row]) -> Row | None:
 
 
 def _held_to_others(plan: Row, rows: Sequence[Row]) -> Row | None:
-    """Hold a plan to what lies between two grids; None if it has fewer renderings or more."""
+    """Compare a plan with the interpolation between two grids, or return None."""
     grids = by_planner(rows)[0]
     x = [grid["renderings"] for grid in grids]
     uniform = interpolated(x, [grid["within_200m"] for grid in grids], plan["renderings"])
