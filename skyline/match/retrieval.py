@@ -428,7 +428,7 @@ class Retriever:
 
 
 def _report_part(report: ReportProgress, done: float, share: float, step: str, part: float) -> None:
-    """Report a part of a shard's work as a share of all work."""
+    """Report part of a shard's work as a share of all work."""
     report(step, done + share * part)
 
 

@@ -250,9 +250,9 @@ def _rolled(level: Complex128Array) -> Complex128Array:
 
 
 def _at_turns(waves: Complex128Array, step: int) -> Float32Array:
-    """Return matrices (P, 2 (S + 19), F T) that hold turned waves.
+    """Return matrices that hold waves at some of 20 turns.
 
-    The waves (P, F, S) stand at every ``step``-th of 20 turns.
+    The waves are (P, F, S), and the matrices (P, 2 (S + 19), F T), for every ``step``-th turn.
     """
     kinds, fovs, span = waves.shape
     turns = range(0, _TURNS_AT_ONCE, step)

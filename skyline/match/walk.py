@@ -1,6 +1,6 @@
 r"""Joint posteriors of photos that one person took on one walk.
 
-Between two photos the person went at most a distance r, by any route. Nothing else is known, so
+Between two photos the person went at most a distance r, by any route. Nothing else is known, so all
 places within r are equally probable: with D the disc of radius r, whose sum is 1, and
 :math:`p_k` the posterior of photo k alone,
 
@@ -30,7 +30,7 @@ class DiscSize:
     """How finely a walk is followed."""
 
     radius_cells: int = 32
-    """A larger disc is spread on a coarser grid: its rim is then a cell, or 3 % of the radius, wide.
+    """A larger disc is spread on a coarser grid: its rim is then one cell wide, 3 % of the radius.
     Speeds are known less exactly."""
     least_share: float = 1e-12
     """Values below this share of the greatest one are rounding errors of the transform."""
@@ -43,7 +43,7 @@ def check_times(times: Sequence[datetime]) -> None:
     """Raise `InputError` if only some of the times have a zone."""
     if len({one.tzinfo is None for one in times}) > 1:
         raise InputError(
-            "some photos' times have a zone and some have none, as EXIF's; give all alike"
+            "some photos' times have a zone, and some have none, as in EXIF; give all alike"
         )
 
 
