@@ -154,7 +154,7 @@ class GroundView:
         elevation_tan: Float64Array,
         progress: Progress | None = None,
     ) -> Float64Array:
-        """Return the distances (N,) at which rays meet the ground; NaN for sky."""
+        """Return distances (N,) at which rays meet ground; NaN for sky."""
         rays = azimuth_rad.ravel(), elevation_tan.ravel()
         found_m = first_hits_m(
             self.terrain, self.eye, self.curvature, *rays, self._step_rad, progress

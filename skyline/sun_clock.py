@@ -348,7 +348,7 @@ def heading_at(pose: Pose, pointing: Pointing, sky: Sky, body: Body, at: datetim
 
 
 def _refined(pointing: Pointing, sky: Sky, body: Body, at: datetime) -> ClockTime:
-    """Return the time near a minute when a body is nearest a direction."""
+    """Return when, near a minute, a body is nearest a direction."""
     weight = pointing.information
     minute = timedelta(seconds=_MINUTE_S)
     for _ in range(_NEWTON_STEPS):

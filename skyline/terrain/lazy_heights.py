@@ -209,7 +209,7 @@ class LazyHeights:
         self._keep_digest = keep_digest
 
     def note_digest(self, digest: str) -> None:
-        """Note the field's digest, in its file for later runs too."""
+        """Note the field's digest, in its file too if it has one."""
         self.digest = digest
         self._keep_digest(digest)
 
