@@ -45,7 +45,7 @@ from skyline_bench.measuring import Row, peak_bytes, square_km
 from skyline_bench.queries.synthetic import make_queries
 
 _AREA_KM2 = 1e5
-"""Size of an area: a store of nine tiles has it."""
+"""Size of an area: that of nine tiles."""
 _LISTED = 400
 """Poses of a short list; a search of few places has as many."""
 
