@@ -286,7 +286,7 @@ def turn_grid_heading_deg(turn: IntArray) -> Float64Array:
 def turns_within(grid_heading_deg: float, slack_deg: float) -> BoolArray:
     """Mark the turns (B,) that lie near a grid heading.
 
-    They lie within ``slack_deg`` and a turn's width of it.
+    They lie within ``slack_deg`` plus a turn's width of it.
     """
     axis_deg = turn_grid_heading_deg(np.arange(PHASE_BINS))
     off_deg = np.abs(in_turn(axis_deg - grid_heading_deg))
