@@ -21,6 +21,7 @@ from skyline.cli.photo_options import (
     SamePlace,
     SearchBounds,
     UseGps,
+    Walked,
     entry_of,
     heading_of,
 )
@@ -63,6 +64,7 @@ def locate(
     projection: PhotoProjection = None,
     same_place: SamePlace = False,
     use_gps: UseGps = False,
+    walked: Walked = None,
     export: Export = None,
     probability: ProbabilityMap = None,
     peaks: ReportPeaks = None,
@@ -93,5 +95,6 @@ def locate(
         peaks=peaks,
         exports=export or (),
         probability=probability or (),
+        walked_km_h=walked,
     )
     raise typer.Exit(locate_photos(task, Terminal.of(context, as_json)))

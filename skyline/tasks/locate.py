@@ -42,6 +42,8 @@ class LocateTask:
     """Files of the candidates, as in `MatchTask`."""
     probability: Sequence[Path] = ()
     """Files of the posteriors, as in `MatchTask`."""
+    walked_km_h: float | None = None
+    """As in `MatchTask`."""
 
 
 def locate_photos(task: LocateTask, listener: Listener) -> int:
@@ -69,6 +71,7 @@ def locate_photos(task: LocateTask, listener: Listener) -> int:
         peaks=task.peaks,
         exports=task.exports,
         probability=task.probability,
+        walked_km_h=task.walked_km_h,
     )
     search.check_files()
     area, narrowing = area_of([one.path for one in usable], task.common.narrowing)

@@ -151,16 +151,6 @@ class MatchTask:
                 self.probability and self.matcher not in (FULL, UNREFINED),
                 f"--probability needs the full matcher; leave --matcher {self.matcher} out",
             ),
-            (
-                self.walked_km_h is not None
-                and (not self.probability or self.same_place or len(self.entries) < 2),
-                "--walked joins the maps of --probability FILE of two photos or more that were "
-                "taken on one walk; name them, and leave --same-place out",
-            ),
-            (
-                self.walked_km_h is not None and not 0.0 < self.walked_km_h < math.inf,
-                f"--walked is {self.walked_km_h} km/h; expected a speed above 0",
-            ),
         ):
             if is_wrong:
                 raise InputError(error)
@@ -184,6 +174,8 @@ class MatchTask:
             check_report_folder(self.report)
         for path in self.exports:
             suffix_of(path, EXPORTS)
+        if self.walked_km_h is not None:
+            self._check_walk(self.walked_km_h)
         for path in self.probability:
             kind = suffix_of(path, POSTERIOR_FILES)
             if kind in RASTERS and len(self.entries) > 1 and not self.same_place:
@@ -192,6 +184,15 @@ class MatchTask:
                     f"give {path.with_suffix(GEOJSON[0])} or {path.with_suffix('.kml')}, which "
                     "hold all, or --same-place if they were taken at one place"
                 )
+
+    def _check_walk(self, walked_km_h: float) -> None:
+        if not self.probability or self.same_place or len(self.entries) < 2:
+            raise InputError(
+                "--walked joins the maps of --probability FILE of two photos or more that were "
+                "taken on one walk; name them, and leave --same-place out"
+            )
+        if not 0.0 < walked_km_h < math.inf:
+            raise InputError(f"--walked is {walked_km_h} km/h; expected a speed above 0")
 
 
 def split_stores(first: Path, others: Sequence[Path]) -> tuple[tuple[Path, ...], Sequence[Path]]:

@@ -73,7 +73,7 @@ def test_errors_of_a_pose_move_a_place_on_level_ground_as_trigonometry_has_it(
 )
 def test_pixels_are_as_many_finite_columns_as_rows(column_px, row_px):
     view = view_at(ROUGH)
-    with pytest.raises(InputError, match=r"expected as many|not a finite"):
+    with pytest.raises(InputError, match=r"expected equally many|not a finite"):
         view.points(column_px, row_px)
 
 
