@@ -33,6 +33,7 @@ from skyline.match.result import MatchResult, listed
 from skyline.photo.read import read_picture
 from skyline.photo.skyline import PhotoSkyline
 from skyline.pose import COLUMNS, Ellipse, Pose, view_wedge_m
+from skyline.report.kml import add, add_polygon, kml_document, xml_bytes
 from skyline.store.read import Store
 
 VIEW_REACH_M = 2000.0
@@ -146,9 +147,8 @@ def _kml(
     Each candidate is a place and a view of 2 km. The first candidate of each photo has a
     PhotoOverlay, which shows the file at the photo's address.
     """
-    root = Xml.Element("kml", xmlns="http://www.opengis.net/kml/2.2")
-    folder = _child(root, "Document")
-    _child(folder, "name", "Where the photos were taken")
+    root, folder = kml_document()
+    add(folder, "name", "Where the photos were taken")
     for result, href in zip(results, hrefs, strict=True):
         name = Path(result.name).name
         places = [_Placemark.of(name, one) for one in result.candidates]
@@ -157,7 +157,7 @@ def _kml(
         is_flat = result.skyline.projection is Projection.PERSPECTIVE
         if href is not None and places and is_flat:
             _add_photo(folder, name, result.skyline, places[0], href)
-    return bytes(Xml.tostring(root, encoding="utf-8", xml_declaration=True))
+    return xml_bytes(root)
 
 
 def _linked_kml(
@@ -201,14 +201,13 @@ def _kmz(results: Sequence[MatchResult], frames: Sequence[Frame], photos: Photos
 
 def _add_place(folder: Xml.Element, place: _Placemark, frame: Frame) -> None:
     """Add a pose to KML, with its view."""
-    mark = _child(folder, "Placemark")
-    _child(mark, "name", place.name)
-    _child(mark, "description", place.description)
-    shapes = _child(mark, "MultiGeometry")
-    _child(_child(shapes, "Point"), "coordinates", place.coordinates)
+    mark = add(folder, "Placemark")
+    add(mark, "name", place.name)
+    add(mark, "description", place.description)
+    shapes = add(mark, "MultiGeometry")
+    add(add(shapes, "Point"), "coordinates", place.coordinates)
     for outline in _rings(view_wedge_m(place.pose, VIEW_REACH_M), frame):
-        ring = _child(_child(_child(shapes, "Polygon"), "outerBoundaryIs"), "LinearRing")
-        _child(ring, "coordinates", " ".join(f"{lon},{lat}" for lon, lat in outline))
+        add_polygon(shapes, [outline])
 
 
 def _add_photo(
@@ -239,18 +238,11 @@ def _gpx(results: Sequence[MatchResult]) -> bytes:
     for result in results:
         for candidate in result.candidates:
             place = _Placemark.of(Path(result.name).name, candidate)
-            point = _child(root, "wpt", lat=place.lat, lon=place.lon)
-            _child(point, "ele", f"{candidate.eye_elevation_m:.1f}")
-            _child(point, "name", place.name)
-            _child(point, "desc", place.description)
-    return bytes(Xml.tostring(root, encoding="utf-8", xml_declaration=True))
-
-
-def _child(parent: Xml.Element, tag: str, text: str = "", **attributes: str) -> Xml.Element:
-    element = Xml.SubElement(parent, tag, attributes)
-    if text:
-        element.text = printable(text)
-    return element
+            point = add(root, "wpt", lat=place.lat, lon=place.lon)
+            add(point, "ele", f"{candidate.eye_elevation_m:.1f}")
+            add(point, "name", place.name)
+            add(point, "desc", place.description)
+    return xml_bytes(root)
 
 
 EXPORTS: Mapping[

@@ -4,7 +4,6 @@ import json
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree as Xml
 
 import numpy as np
 
@@ -13,6 +12,7 @@ from skyline.errors import InputError, printable, suffix_of
 from skyline.files import GEOJSON, write_with_folders
 from skyline.geodesy.antimeridian import lonlat_rings
 from skyline.match.posterior import SHARES, Posterior
+from skyline.report.kml import add, add_polygon, kml_document, xml_bytes
 
 RASTERS = (".tif", ".tiff")
 """Suffixes of files that hold the posterior of one photo."""
@@ -97,29 +97,23 @@ def _polygons(rings: Sequence[Float64Array], posterior: Posterior) -> list[list[
 
 def _kml(features: Sequence[Json]) -> bytes:
     """Return regions as KML, the widest ones lowest."""
-    root = Xml.Element("kml", xmlns="http://www.opengis.net/kml/2.2")
-    document = Xml.SubElement(root, "Document")
+    root, document = kml_document()
     for share, colour in _COLOURS.items():
-        style = Xml.SubElement(document, "Style", id=f"held{share * 100:.0f}")
+        style = add(document, "Style", id=f"held{share * 100:.0f}")
         for part in ("LineStyle", "PolyStyle"):
-            Xml.SubElement(Xml.SubElement(style, part), "color").text = colour
+            add(add(style, part), "color", colour)
     for one in sorted(features, key=lambda feature: -feature["properties"]["share"]):
         about = one["properties"]
         percent = f"{about['share'] * 100:.0f}"
-        mark = Xml.SubElement(document, "Placemark")
-        Xml.SubElement(mark, "name").text = f"{Path(about['photo']).name}: {percent} %"
+        mark = add(document, "Placemark")
+        add(mark, "name", f"{Path(about['photo']).name}: {percent} %")
         text = f"Taken in this area with a probability of {percent} %; {about['area_km2']:.3g} km²"
-        Xml.SubElement(mark, "description").text = text
-        Xml.SubElement(mark, "styleUrl").text = f"#held{percent}"
-        shapes = Xml.SubElement(mark, "MultiGeometry")
+        add(mark, "description", text)
+        add(mark, "styleUrl", f"#held{percent}")
+        shapes = add(mark, "MultiGeometry")
         for rings in one["geometry"]["coordinates"]:
-            polygon = Xml.SubElement(shapes, "Polygon")
-            for number, ring in enumerate(rings):
-                side = Xml.SubElement(polygon, "innerBoundaryIs" if number else "outerBoundaryIs")
-                places = " ".join(f"{lon},{lat}" for lon, lat in ring)
-                line = Xml.SubElement(side, "LinearRing")
-                Xml.SubElement(line, "coordinates").text = places
-    return bytes(Xml.tostring(root, encoding="utf-8", xml_declaration=True))
+            add_polygon(shapes, rings)
+    return xml_bytes(root)
 
 
 def _geotiff(posterior: Posterior) -> bytes:

@@ -5,17 +5,17 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
-from xml.etree import ElementTree as Xml
 
 import numpy as np
 
 from skyline.arrays import Float64Array
-from skyline.errors import library, printable, suffix_of
+from skyline.errors import library, suffix_of
 from skyline.files import GEOJSON, write_whole
 from skyline.geodesy.map_frame import Frame
 from skyline.ground import GroundPoints
 from skyline.ground_shapes import GroundShape, PhotoShape
 from skyline.photo.skyline import PhotoSkyline
+from skyline.report.kml import add, add_coordinates, add_polygon, kml_document, xml_bytes
 from skyline.vectors import LINE, PHOTO_MEMBER, POINT, POLYGON, VERTICES_LAYER
 
 MAP_FILES = (*GEOJSON, ".gpkg", ".kml")
@@ -183,26 +183,17 @@ def _geopackage(path: Path, features: Sequence[Json]) -> bytes:
 
 
 def _kml(features: Sequence[Json]) -> bytes:
-    root = Xml.Element("kml", xmlns="http://www.opengis.net/kml/2.2")
-    folder = Xml.SubElement(root, "Document")
+    root, document = kml_document()
     for number, one in enumerate(features, start=1):
         properties, geometry = one["properties"], one["geometry"]
-        mark = Xml.SubElement(folder, "Placemark")
+        mark = add(document, "Placemark")
         names = (properties[name] for name in _NAMES if properties.get(name) is not None)
-        Xml.SubElement(mark, "name").text = printable(str(next(names, f"shape {number}")))
+        add(mark, "name", str(next(names, f"shape {number}")))
         about = (f"{name}: {value}" for name, value in properties.items() if name != "vertices")
-        Xml.SubElement(mark, "description").text = printable("; ".join(about))
+        add(mark, "description", "; ".join(about))
         kind, coordinates = geometry["type"], geometry["coordinates"]
-        shape = Xml.SubElement(mark, kind)
         if kind == POLYGON:
-            for part, ring in enumerate(coordinates):
-                side = Xml.SubElement(shape, "innerBoundaryIs" if part else "outerBoundaryIs")
-                _add_coordinates(Xml.SubElement(side, "LinearRing"), ring)
+            add_polygon(mark, coordinates)
         else:
-            _add_coordinates(shape, [coordinates] if kind == POINT else coordinates)
-    return bytes(Xml.tostring(root, encoding="utf-8", xml_declaration=True))
-
-
-def _add_coordinates(parent: Xml.Element, places: Sequence[Sequence[float]]) -> None:
-    text = " ".join(",".join(map(str, place)) for place in places)
-    Xml.SubElement(parent, "coordinates").text = text
+            add_coordinates(add(mark, kind), [coordinates] if kind == POINT else coordinates)
+    return xml_bytes(root)
