@@ -19,9 +19,8 @@ from skyline.camera import Camera
 from skyline.errors import InputError, suffix_of
 from skyline.files import write_whole
 from skyline.ground import GroundErrors, GroundPoints, GroundView
+from skyline.report.geotiff import GEOTIFFS, geotiff
 from skyline.terrain.heightfield import HeightField
-
-ORTHO_FILES = (".tif", ".tiff")
 
 
 @dataclass(frozen=True, slots=True)
@@ -267,21 +266,7 @@ def _write(
     colours: Sequence[str],
     **options: Any,
 ) -> None:
-    from rasterio.enums import ColorInterp  # noqa: PLC0415  (slow to load)
-    from rasterio.io import MemoryFile  # noqa: PLC0415
-    from rasterio.transform import from_origin  # noqa: PLC0415
-
-    suffix_of(path, ORTHO_FILES)
-    about = {
-        "count": len(bands),
-        "height": grid.rows,
-        "width": grid.cols,
-        "dtype": bands.dtype.name,
-        "crs": terrain.frame.wkt,
-        "transform": from_origin(grid.west_m, grid.north_m, grid.cell_m, grid.cell_m),
-    }
-    with MemoryFile() as memory:
-        with memory.open(driver="COG", compress="deflate", **about, **options) as raster:
-            raster.colorinterp = [ColorInterp[one] for one in colours]
-            raster.write(bands)
-        write_whole(path, memory.read())
+    suffix_of(path, GEOTIFFS)
+    corner_m = grid.west_m, grid.north_m
+    wkt = terrain.frame.wkt
+    write_whole(path, geotiff(bands, corner_m, grid.cell_m, wkt, colours=colours, **options))

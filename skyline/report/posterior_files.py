@@ -12,12 +12,11 @@ from skyline.errors import InputError, printable, suffix_of
 from skyline.files import GEOJSON, write_with_folders
 from skyline.geodesy.antimeridian import lonlat_rings
 from skyline.match.posterior import SHARES, Posterior
+from skyline.report.geotiff import GEOTIFFS, geotiff
 from skyline.report.kml import add, add_polygon, kml_document, xml_bytes
 
-RASTERS = (".tif", ".tiff")
-"""Suffixes of files that hold the posterior of one photo."""
-POSTERIOR_FILES = (*RASTERS, *GEOJSON, ".kml")
-"""Suffixes of all files of posteriors."""
+POSTERIOR_FILES = (*GEOTIFFS, *GEOJSON, ".kml")
+"""Suffixes of files of posteriors; a GeoTIFF holds one photo's."""
 _DECIMALS = 6
 """Decimals of degrees in files: a tenth of a metre."""
 _COLOURS = {0.5: "b03030e0", 0.8: "803080f0", 0.95: "5030d0f0"}
@@ -45,7 +44,7 @@ def write_posteriors(
         A suffix is unknown, there are several photos for a GeoTIFF, or a file cannot be written.
     """
     kinds = {Path(path): suffix_of(path, POSTERIOR_FILES) for path in paths}
-    rasters = [path for path, kind in kinds.items() if kind in RASTERS]
+    rasters = [path for path, kind in kinds.items() if kind in GEOTIFFS]
     features: list[Json] = []
     for number, (photo, posterior) in enumerate(posteriors):
         if rasters and number:
@@ -117,25 +116,12 @@ def _kml(features: Sequence[Json]) -> bytes:
 
 
 def _geotiff(posterior: Posterior) -> bytes:
-    """Return the probability of each cell as a Cloud-Optimized GeoTIFF."""
-    from rasterio.io import MemoryFile  # noqa: PLC0415  (slow to load)
-    from rasterio.transform import from_origin  # noqa: PLC0415
-
-    rows, cols = posterior.probability.shape
-    with MemoryFile() as memory:
-        with memory.open(
-            driver="COG",
-            count=1,
-            height=rows,
-            width=cols,
-            dtype="float32",
-            crs=posterior.frame.wkt,
-            transform=from_origin(
-                posterior.west_m, posterior.north_m, posterior.cell_m, posterior.cell_m
-            ),
-            compress="deflate",
-            predictor="yes",
-        ) as raster:
-            raster.write(posterior.probability, 1)
-            raster.set_band_description(1, "probability of the cell")
-        return bytes(memory.read())
+    """Return the probability of each cell as a GeoTIFF."""
+    return geotiff(
+        posterior.probability[np.newaxis],
+        (posterior.west_m, posterior.north_m),
+        posterior.cell_m,
+        posterior.frame.wkt,
+        names=["probability of the cell"],
+        predictor="yes",
+    )
