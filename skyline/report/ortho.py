@@ -49,7 +49,7 @@ _SETTINGS = OrthoSettings()
 
 @dataclass(frozen=True, slots=True)
 class CellGrid:
-    """Square cells on the map, in a terrain's frame, from their north-western corner on."""
+    """Square cells on the map, from their north-western corner in a frame."""
 
     west_m: float
     north_m: float
