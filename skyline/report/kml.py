@@ -5,7 +5,7 @@ from xml.etree import ElementTree as Xml
 
 from skyline.errors import printable
 
-Places = Iterable[Sequence[float]]
+Coordinates = Iterable[Sequence[float]]
 """Longitudes and latitudes, and perhaps elevations."""
 
 
@@ -23,7 +23,7 @@ def add(parent: Xml.Element, tag: str, text: str = "", **attributes: str) -> Xml
     return element
 
 
-def add_polygon(parent: Xml.Element, rings: Iterable[Places]) -> None:
+def add_polygon(parent: Xml.Element, rings: Iterable[Coordinates]) -> None:
     """Add a polygon: its outline, then its holes, all closed."""
     polygon = add(parent, "Polygon")
     for number, ring in enumerate(rings):
@@ -31,7 +31,7 @@ def add_polygon(parent: Xml.Element, rings: Iterable[Places]) -> None:
         add_coordinates(add(side, "LinearRing"), ring)
 
 
-def add_coordinates(parent: Xml.Element, places: Places) -> None:
+def add_coordinates(parent: Xml.Element, places: Coordinates) -> None:
     """Add the coordinates of a shape."""
     add(parent, "coordinates", " ".join(",".join(map(str, place)) for place in places))
 
