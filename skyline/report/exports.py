@@ -33,6 +33,7 @@ from skyline.match.result import MatchResult, listed
 from skyline.photo.read import read_picture
 from skyline.photo.skyline import PhotoSkyline
 from skyline.pose import COLUMNS, Ellipse, Pose, view_wedge_m
+from skyline.report.geojson import Json, collection, feature
 from skyline.report.kml import add, add_polygon, kml_document, xml_bytes
 from skyline.store.read import Store
 
@@ -51,7 +52,6 @@ _OVERLAY = """<PhotoOverlay><name/><Camera>
 <Point><coordinates>{place.coordinates}</coordinates></Point>
 <shape>rectangle</shape></PhotoOverlay>"""
 """A photo that stands 300 m in front of the camera; its name and address are set as texts."""
-Json = dict[str, object]
 Photos = Sequence[UInt8Array | None]
 
 
@@ -96,42 +96,38 @@ def _geojson(results: Sequence[MatchResult], frames: Sequence[Frame]) -> str:
     ``candidate``, ``view`` or ``ellipse95``.
     """
     features = [
-        feature
+        found
         for one in results
         for candidate in one.candidates
-        for feature in _features(printable(one.name), candidate, frames[candidate.area])
+        for found in _features(printable(one.name), candidate, frames[candidate.area])
     ]
-    collection = {"type": "FeatureCollection", "features": features}
-    return json.dumps(collection, indent=1, allow_nan=False) + "\n"
+    return json.dumps(collection(features), indent=1, allow_nan=False) + "\n"
 
 
 def _features(photo: str, candidate: Pose, frame: Frame) -> list[Json]:
     """Return the GeoJSON features of a candidate: point, view and ellipse."""
     of_pose: Json = {"photo": photo, "rank": candidate.rank, "origin": candidate.origin}
-
-    def feature(shape: str, geometry: Json, about: Json) -> Json:
-        properties = of_pose | {"shape": shape} | about
-        return {"type": "Feature", "geometry": geometry, "properties": properties}
-
     place = [round(candidate.lon, _DECIMALS), round(candidate.lat, _DECIMALS)]
+    about = of_pose | {"shape": "candidate"} | candidate.to_dict()
     wedge = _polygon(view_wedge_m(candidate, VIEW_REACH_M), frame)
     shapes = [
-        feature("candidate", {"type": "Point", "coordinates": place}, candidate.to_dict()),
-        feature("view", wedge, {"reach_m": VIEW_REACH_M}),
+        feature("Point", place, about),
+        feature(*wedge, of_pose | {"shape": "view", "reach_m": VIEW_REACH_M}),
     ]
     ellipse = Ellipse.of(candidate)
     if ellipse is not None:
-        axes: Json = {"semi_major_m": ellipse.semi_major_m, "semi_minor_m": ellipse.semi_minor_m}
-        shapes.append(feature("ellipse95", _polygon(ellipse.outline_m, frame), axes))
+        axes = {"semi_major_m": ellipse.semi_major_m, "semi_minor_m": ellipse.semi_minor_m}
+        outline = _polygon(ellipse.outline_m, frame)
+        shapes.append(feature(*outline, of_pose | {"shape": "ellipse95"} | axes))
     return shapes
 
 
-def _polygon(outline_m: Float64Array, frame: Frame) -> Json:
+def _polygon(outline_m: Float64Array, frame: Frame) -> tuple[str, Sequence[object]]:
     """Return an outline as a Polygon, or a MultiPolygon across the antimeridian."""
     rings = _rings(outline_m, frame)
     if len(rings) == 1:
-        return {"type": "Polygon", "coordinates": rings}
-    return {"type": "MultiPolygon", "coordinates": [[ring] for ring in rings]}
+        return "Polygon", rings
+    return "MultiPolygon", [[ring] for ring in rings]
 
 
 def _rings(outline_m: Float64Array, frame: Frame) -> list[list[list[float]]]:

@@ -3,7 +3,6 @@
 import json
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -12,6 +11,7 @@ from skyline.errors import InputError, printable, suffix_of
 from skyline.files import GEOJSON, write_with_folders
 from skyline.geodesy.antimeridian import lonlat_rings
 from skyline.match.posterior import SHARES, Posterior
+from skyline.report.geojson import Json, collection, feature
 from skyline.report.geotiff import GEOTIFFS, geotiff
 from skyline.report.kml import add, add_polygon, kml_document, xml_bytes
 
@@ -21,7 +21,6 @@ _DECIMALS = 6
 """Decimals of degrees in files: a tenth of a metre."""
 _COLOURS = {0.5: "b03030e0", 0.8: "803080f0", 0.95: "5030d0f0"}
 """Colours of regions in KML: opacity, blue, green, red."""
-Json = dict[str, Any]
 
 
 def write_posteriors(
@@ -57,8 +56,7 @@ def write_posteriors(
         if kind == ".kml":
             write_with_folders(path, _kml(features))
         elif kind in GEOJSON:
-            collection = {"type": "FeatureCollection", "features": features}
-            write_with_folders(path, json.dumps(collection) + "\n")
+            write_with_folders(path, json.dumps(collection(features)) + "\n")
 
 
 def _feature(photo: str, posterior: Posterior, share: float) -> Json:
@@ -66,15 +64,9 @@ def _feature(photo: str, posterior: Posterior, share: float) -> Json:
     polygons = [
         polygon for rings in posterior.region(share) for polygon in _polygons(rings, posterior)
     ]
-    return {
-        "type": "Feature",
-        "geometry": {"type": "MultiPolygon", "coordinates": polygons},
-        "properties": {
-            "photo": photo,
-            "share": share,
-            "area_km2": round(posterior.area_km2(share), 6),
-        },
-    }
+    area_km2 = round(posterior.area_km2(share), 6)
+    about = {"photo": photo, "share": share, "area_km2": area_km2}
+    return feature("MultiPolygon", polygons, about)
 
 
 def _polygons(rings: Sequence[Float64Array], posterior: Posterior) -> list[list[list[list[float]]]]:
@@ -101,7 +93,7 @@ def _kml(features: Sequence[Json]) -> bytes:
         style = add(document, "Style", id=f"held{share * 100:.0f}")
         for part in ("LineStyle", "PolyStyle"):
             add(add(style, part), "color", colour)
-    for one in sorted(features, key=lambda feature: -feature["properties"]["share"]):
+    for one in sorted(features, key=lambda region: -region["properties"]["share"]):
         about = one["properties"]
         percent = f"{about['share'] * 100:.0f}"
         mark = add(document, "Placemark")
