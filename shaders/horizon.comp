@@ -3,32 +3,31 @@
 //
 // The vertical half-plane of a column meets the surface's edges where its ground ray crosses rows,
 // columns and diagonals of samples; the greatest v over these crossings is the skyline, as in the
-// oracle of the benchmarks. Along the axis the heading faces the field is cut into strips, one row
-// of cells each; the ray drifts sideways by k cells a strip. Slabs of 2, 16, 128, 1024 strips carry
-// the greatest height that rays of their slope can meet (skyline/terrain/ray_mesh.py): one that
+// oracle of the benchmarks. Strips, one row of cells each, cut the field along the axis that the
+// heading faces; the ray drifts sideways by k cells a strip. Slabs of 2, 16, 128, 1024 strips carry
+// the greatest height that rays of their slope can meet (skyline/terrain/ray_mesh.py). A slab that
 // cannot rise above the best crossing so far is passed over whole.
 //
 // Frame: p counts along the heading's axis and grows away from the eye (mirrored for north and
 // west), w counts across it, to the east or south. Distances z are in strips. A crossing's y is
-// metres above the eye, its v metres per strip; metres_per_strip scales both in the end. Nothing
-// absolute is used: the eye is its nearest sample in whole numbers and an offset from that.
+// metres above the eye, its v metres per strip; metres_per_strip scales both in the end. No
+// coordinate is absolute: the eye is its nearest sample, in whole numbers, and an offset from it.
 //
 // Defines: HEADING 0..3; CELLS, how many cells of a strip a ray can cross; REAL, float or double;
 // DANGLING where edges without triangles exist; HOLES to find the columns that look over one.
 //
-// A lane takes every LANES-th column of its group. The strip that won the lane's last column gives
-// the first bound for its next. With RAISE, results stay where an earlier window of a large field left
-// higher ones.
+// A lane takes every LANES-th column of its group. The strip that won its last column gives the
+// first bound for the next. With RAISE, higher results of an earlier window of a large field stay.
 #version 430
 layout(local_size_x = LANES) in;
 
 struct Eye {
     ivec2 nearest;     // row, column of a sample
     vec2 offset;       // eye minus that sample, cells south and east, each in [-0.5, 0.5]
-    vec2 offset_low;   // what float32 left of it
+    vec2 offset_low;   // what float32 leaves of it
     vec2 elevation_m;  // high and low part
     vec2 turn_tan;     // tangent of the angle by which all columns are turned clockwise, in two parts
-    ivec2 row;         // of the results; the second number only fills the room
+    ivec2 row;         // of the results; the second number is padding
 };
 
 layout(std430, binding = 0) readonly buffer Eyes { Eye eyes[]; };
@@ -36,7 +35,7 @@ layout(std430, binding = 1) buffer Tans { float elevation_tan[]; };
 layout(std430, binding = 2) buffer Depths { float depth_m[]; };
 layout(std430, binding = 3) buffer Flags { uint flags[]; };
 
-uniform usampler2D present;       // 1 where there is a sample, with those next to the window
+uniform usampler2D present;       // 1 where there is a sample, also next to the window
 uniform usampler2D slabs;         // the tree of heights: eight codes of 16 bits a texel
 uniform sampler2D columns_m;      // the samples: a texel is a leaf's three of one column
 uniform ivec2 columns_end;        // its last texel
@@ -59,7 +58,7 @@ uniform int run;                  // columns a lane takes
 uniform int first_eye;
 
 const float NOTHING = -1e30;
-const float DATA = -1e15;         // below every v there is, above every crossing with a hole
+const float DATA = -1e15;         // below every v, above every crossing with a hole
 const float STRIP_SLACK = 1e-5;   // more than rounding of a distance, relative
 const int COLUMN_APRON = 4;       // empty ones beside the samples, in columns_m
 const int NO_STRIP = 0x7ffffff0;
@@ -145,8 +144,8 @@ bool sample_there(int p, int w) {
     return texelFetch(present, clamp(at, ivec2(-1), samples) + 1, 0).x != 0u;
 }
 
-// The third sample of the triangle beyond an edge crossed in strip s, or before it, seen from the
-// eye: the edge's own two are there.
+// Whether there is the third sample of the triangle beyond an edge crossed in strip s, or before it,
+// seen from the eye. The edge has its own two.
 bool triangle_there(int s, int line, int family, bool beyond) {
     bool right = beyond == (k > REAL(0));
     bool grows = beyond == (rate > REAL(0));
@@ -159,7 +158,7 @@ bool triangle_there(int s, int line, int family, bool beyond) {
     return sample_there(p, w);
 }
 
-// Whether both samples of an edge are there; a crossing at one of them does not show the other.
+// Whether an edge has both samples; a crossing at one of them does not show the other.
 bool edge_there(int s, int line, int family) {
     ivec2 near = ivec2(family == 0 ? s + 1 : s, line + (family == 2 && !FORWARD ? 1 : 0));
     ivec2 far = ivec2(s + 1, line + (family == 0 || (family == 2 && FORWARD) ? 1 : 0));
@@ -196,21 +195,21 @@ void keep_v(inout Hit hit, int s, REAL v, REAL z, REAL line, int family, bool th
     hit.v = counts(hit, s, v, line, family, there) ? v : hit.v;
 }
 
-// The whole hit; of equal ones the nearest.
+// Keep the whole hit, the nearest of equal ones.
 void keep_all(inout Hit hit, int s, REAL v, REAL z, REAL line, int family, bool there) {
     if (counts(hit, s, v, line, family, there) && (v > hit.v || z < hit.z)) {
         hit = Hit(v, z, int(line), family);
     }
 }
 
-// Whether the window's surface begins again at this crossing: then v of the hit is set to 1.
+// Set the hit's v to 1 if the window's surface begins again at this crossing.
 void keep_rim(inout Hit hit, int s, REAL v, REAL z, REAL line, int family, bool there) {
     there = there && line >= REAL(w_first) && line <= REAL(w_last + (family == 1 ? 1 : 0));
     if (there && edge_there(s, int(line), family) && !triangle_there(s, int(line), family, false)
         && triangle_there(s, int(line), family, true)) hit.v = REAL(1);
 }
 
-// Where the ray is on the near and far line of strip s, and the greater of the cells there.
+// Where the ray is on the near and far lines of strip s, and the greater of the cells there.
 void span(int s, out REAL xn, out REAL xf, out int top) {
     xn = fw + k * max(REAL(s - ip) - fp, REAL(0));
     xf = fw + k * (REAL(s + 1 - ip) - fp);
@@ -218,8 +217,8 @@ void span(int s, out REAL xn, out REAL xf, out int top) {
 }
 
 // The crossings in strip s: lateral lines, diagonals, and the far row; the near row belongs to the
-// strip before. h holds the near and far samples of columns top + 1 - CELLS to top + 1. No branches:
-// both sides of one would be executed.
+// strip before. h holds the near and far samples of columns top + 1 - CELLS to top + 1. There are
+// no branches: both sides of one would be executed.
 #define STRIP(NAME, KEEP)                                                                          \
 void NAME(int s, bool on, REAL xn, REAL xf, int top, vec2 h[CELLS + 1], inout Hit hit) {           \
     REAL z0 = REAL(s - ip) - fp, zf = REAL(s + 1 - ip) - fp;                                       \
@@ -248,7 +247,7 @@ STRIP(strip_best, keep_v)
 STRIP(strip_all, keep_all)
 STRIP(strip_rim, keep_rim)
 
-// A strip on its own.
+// A single strip.
 #define ALONE(NAME, STRIP_NAME)                                                                    \
 void NAME(int s, bool on, inout Hit hit) {                                                         \
     REAL xn, xf;                                                                                   \
@@ -265,7 +264,7 @@ void NAME(int s, bool on, inout Hit hit) {                                      
 ALONE(resolve, strip_all)
 ALONE(find_rim, strip_rim)
 
-// Take what strip s holds if it is higher than the best, or as high and nearer.
+// Take the hit of strip s if it is higher than the best, or as high and nearer.
 void raise(inout float best, inout int winner, Hit hit, int s) {
     float v = float(hit.v);
     bool take = v > best || (v == best && s < winner);
@@ -303,8 +302,8 @@ void leaf(int s, int s_first, int s_last, inout float best, inout int winner) {
     raise(best, winner, far, s + 1);
 }
 
-// Where the texel of the band that begins at strip s lies: of the block of columns in which the
-// ray crosses the band's line of least index.
+// The texel of the band that begins at strip s, for the block of columns where the ray crosses the
+// band's line of least index.
 ivec2 texel_of(ivec3 level, int s, int log_slab, int bin) {
     float slab = float(1 << log_slab);
     float z = float(s - ip) - float(fp) + (FORWARD ? 0.0 : 8.0 * slab);
@@ -315,7 +314,7 @@ ivec2 texel_of(ivec3 level, int s, int log_slab, int bin) {
                  level.x + bin * level.y + (FORWARD ? node : -1 - node));
 }
 
-// The bits of those of a band's eight slabs that hold any of the strips s_first to s_last.
+// The bits of a band's eight slabs that hold any of the strips s_first to s_last.
 uint slabs_between(int s, int log_slab, int s_first, int s_last) {
     return (255u << uint(clamp((s_first - s) >> log_slab, 0, 8)))
         & (255u >> uint(clamp(7 - ((s_last - s) >> log_slab), 0, 8)));
@@ -350,8 +349,8 @@ int start_level(int s_first, int s_last) {
     return min((apart >= 16 ? 1 : 0) + (apart >= 128 ? 1 : 0) + (apart >= 1024 ? 1 : 0), top_level);
 }
 
-// March over a tree, nearest slabs first. Slabs still to be looked into are kept in one word, eight bits
-// a level: its lowest bit is the deepest level's nearest slab. OPEN gives the slabs of a band that
+// March over a tree, nearest slabs first. One word holds the slabs still to be opened, eight bits a
+// level: its lowest bit is the deepest level's nearest slab. OPEN gives the slabs of a band that
 // matter, LEAF looks at two strips.
 #define MARCH(OPEN, LEAF)                                                                           \
     int top = start_level(s_first, s_last), s = (s_first >> (3 * top + 4)) << (3 * top + 4);       \
@@ -372,7 +371,7 @@ int start_level(int s_first, int s_last) {
         }                                                                                          \
     }
 
-// Raise best to the column's greatest v, but for the leaf that is done already.
+// Raise best to the column's greatest v, without the leaf that is done already.
 void march_heights(
     bool live, int bin, int s_first, int s_last, int done, inout float best, inout int winner
 ) {
@@ -394,7 +393,7 @@ uint marked_slabs(int s, int log_slab, int level, int bin) {
     return ((bits & 0xaau) >> 1) | ((bits & 0x55u) << 1);
 }
 
-// Whether the column leaves the surface and comes upon it again.
+// Whether the column leaves the surface and meets it again.
 bool over_hole(bool live, int bin, int s_first, int s_last) {
     Hit rim = Hit(REAL(0), REAL(0), 0, 0);
 #define OPEN(s, log_slab, level)                                                                   \
@@ -426,7 +425,7 @@ void main() {
         int s_first, s_last, bin;
         aim(q, bin);
         bool live = strips(s_first, s_last);
-        // First bounds: the leaf that won the last column, and what else is known, a little lowered
+        // First bounds: the leaf that won the last column, and the result known, a little lowered
         // so that an equal crossing is still found.
         float known = NOTHING;
 #ifdef RAISE

@@ -1,8 +1,8 @@
 // Height-field grid as seen by one 90 degree camera: the projection P = K[R|t] of paper 4.1.
 //
 // A tile is TILE x TILE cells; instance = tile, vertex id = sample within the tile. The sample's
-// place relative to the eye is found as (whole cells - eye cell) - eye fraction, which is exact
-// near the eye whatever the eastings are. Curvature and refraction as Curvature.drop_m:
+// place relative to the eye is (whole cells - eye cell) - eye fraction, which is exact near the
+// eye whatever the eastings are. Curvature and refraction are those of Curvature.drop_m:
 // y -= drop_per_m2 * d^2.
 #version 330 core
 

@@ -1,4 +1,4 @@
-"""Where to stand for the sun or the moon to stand over a summit.
+"""Where to stand to see the sun or moon over a summit.
 
 The places of one day lie on a line: the path that the tip of the summit's shadow takes over the
 ground, at the height of an eye.
@@ -129,7 +129,10 @@ def standpoints(
 def _seen_from(
     terrain: HeightField, places_m: Float64Array, body: Body, times: Sequence[datetime]
 ) -> Float64Array:
-    """Return a body's azimuth, elevation and grid azimuth (N, 3) from N places at N times."""
+    """Return a body's azimuths, elevations and grid azimuths, (N, 3).
+
+    Each of the N places has its own time.
+    """
     east_m, north_m, up_m = places_m.T
     lon, lat = terrain.frame.to_lonlat(east_m, north_m)
     convergence_deg = terrain.frame.convergence_deg(easting_m=east_m, northing_m=north_m)
@@ -140,7 +143,7 @@ def _seen_from(
 
 
 def _reaches(back_rad: Float64Array, to_middle_m: Float64Array, within_m: float) -> BoolArray:
-    """Return whether rays from a summit (N,) pass through the circle of an area."""
+    """Return whether rays (N,) from a summit pass through an area's circle."""
     away_m = float(np.hypot(*to_middle_m))
     if away_m <= within_m:
         return np.ones(len(back_rad), dtype=bool)
@@ -168,7 +171,7 @@ def _shadow_m(
     slope = elevation_tan[:, np.newaxis]
 
     def over_m(away_m: Float64Array) -> Float64Array:
-        """Return how far eyes at distances (N, D) are above the line through the summit."""
+        """Return the heights of eyes (N, D) above the summit's line."""
         ground_m = terrain.height_at(
             easting_m=summit_m[0] + sine * away_m, northing_m=summit_m[1] + cosine * away_m
         )

@@ -306,7 +306,7 @@ def _held(across: Any, above: Any, ahead: Any, pitch: Any, roll: Any) -> tuple[A
 
 
 def _ray(u: Any, v: Any, projection: Projection) -> tuple[Any, Any, Any]:
-    """Return the ray of a lens or a fisheye: right, up and forward of the camera."""
+    """Return the ray of a lens or fisheye: right, up and forward."""
     if projection is Projection.PERSPECTIVE:
         return u, v, 1.0
     off_axis = np.hypot(u, v)

@@ -1,9 +1,9 @@
-"""A pose from control points: points of a photo whose places are known.
+"""A pose from control points: pixels of a photo with known places.
 
 It needs no skyline. The pose is fitted by damped Gauss-Newton to the pixels of the points, from
 what is known of the place and the lens, or from a pose that is refined. It has the unknowns of
-`skyline.pose.Pose.covariance`. A wrong point is one that anywhere in the photo would explain
-better: leaving it out lowers the cost by more than that.
+`skyline.pose.Pose.covariance`. A point is wrong if leaving it out lowers the cost by more than the
+cost of a point that lies anywhere in the photo.
 """
 
 import math
@@ -50,34 +50,33 @@ class PointErrors:
     pixel_sd_px: float = 1.0
     """Standard deviation of a point's column and row."""
     place_sd_m: float = 5.0
-    """Standard deviation of a point's easting, northing and elevation: as a map or a phone has
-    them."""
+    """Standard deviation of a point's easting, northing and elevation from a map or a phone."""
     height_sd_m: float | None = None
     """Standard deviation of the elevation of points and eyes on the ground of the DEM; by default
     `HeightField.height_sd_m`."""
     wrong_share: float = 0.05
-    """Share of points that are wrong, beforehand."""
+    """Share of points that are expected to be wrong."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Steps:
-    """How a fit goes on."""
+    """How a fit proceeds."""
 
     first: int = 4
     """Steps from each start."""
     followed: int = 2
-    """Best of these that go on."""
+    """Number of the best starts that are fitted further."""
     most: int = 30
-    """Steps of those."""
+    """Most steps of these fits."""
     damping: float = 1e-3
     enough: float = 1e-9
     """A fit ends when its cost falls by no more than this share."""
     most_misfit: float = 3.0
-    """A pose whose points miss by more is not trusted: no more than a percent of right ones do."""
+    """A pose whose points miss by more is not trusted; at most a percent of right ones do."""
     most_heading_sd_deg: float = RIGHT_DEG
     """A heading that is known less well is not trusted."""
     spare: int = 1
-    """More points than this must stay beyond `LEAST_POINTS` if one is to be called wrong."""
+    """A point can be called wrong only among more than this many beyond `LEAST_POINTS`."""
 
 
 _STEPS = _Steps()
@@ -181,7 +180,7 @@ class KnownCamera:
     ) -> "KnownCamera":
         """Return a camera at a place.
 
-        ``heading_deg`` is about where it looks, from true north, and its greatest error.
+        ``heading_deg`` has an approximate heading from true north, and its greatest error.
 
         Raises `OffMapError` for a place off the map, and `InputError` for a panorama or a fisheye
         of unknown field of view.
@@ -299,8 +298,8 @@ class _Fit:
     def wrong_cost(self) -> float:
         """Cost of a point that lies anywhere in the photo.
 
-        It is twice the negative log of its density over the density of a point that is right where
-        it should be.
+        It is minus twice the log of its density over the peak density of a right point, weighted by
+        their shares.
         """
         pixels = self.photo.width_px * self.photo.height_px
         right = 2.0 * math.pi * self.errors.pixel_sd_px**2
@@ -336,9 +335,10 @@ class _Fit:
         return np.arctan2(east_m, north_m), tan, away_m
 
     def linear(self, state: Float64Array) -> tuple[Float64Array, Float64Array, Float64Array]:
-        """Return residuals (N, 2) in pixels, their derivatives (N, 2, P) and covariances (N, 2, 2).
+        """Return residuals in pixels, their derivatives and their covariances.
 
-        A residual is a marked pixel less the pixel that shows the point, to first order.
+        They are (N, 2), (N, 2, P) and (N, 2, 2). A residual is a marked pixel less the pixel that
+        shows the point, to first order.
         """
         camera = self.camera(state)
         column, row = self.points.column_px, self.points.row_px
@@ -396,7 +396,7 @@ class _Fit:
         return off
 
     def _over_ground(self, state: Float64Array) -> tuple[float, Float64Array]:
-        """Return how much higher an eye is than usual, and its derivatives (P,)."""
+        """Return an eye's height above the usual one, and derivatives (P,)."""
         terrain = self.viewer.terrain
         at = state[EAST : EAST + 1], state[NORTH : NORTH + 1]
         ground_m = float(terrain.height_at(easting_m=at[0], northing_m=at[1])[0])
@@ -415,7 +415,7 @@ class _Fit:
         return min(rest, key=lambda one: one[0])
 
     def _starts(self, used: BoolArray) -> Iterator[Float64Array]:
-        """Yield states from which a fit may start: each looks so that one point is right."""
+        """Yield starts of a fit, each with one point in its pixel."""
         if self.known.has_heading:
             yield self.first
             return
@@ -518,7 +518,7 @@ def _refusal_of(found: PointsFit) -> str | None:
     sd_deg = found.sds_deg["heading"]
     if sd_deg > _STEPS.most_heading_sd_deg:
         return (
-            f"the heading is known to {sd_deg:.1f} degrees alone; give more points, far apart in "
+            f"the heading is known only to {sd_deg:.1f} degrees; give more points, far apart in "
             "the photo"
         )
     return None

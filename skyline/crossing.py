@@ -1,4 +1,4 @@
-"""Where the rays of two or more photos cross, and whether they meet at all.
+"""Where rays of two or more photos cross, if they meet.
 
 Each photo has a pose, and a pixel that shows the same thing. The place is the one whose directions
 from the cameras differ least from the directions of the pixels, in standard errors; light bends as
@@ -164,7 +164,7 @@ class _Seen:
         return float(np.sqrt(self.spread(np.zeros((2, 3)))[0, 0]))
 
     def spread(self, by_place: Float64Array) -> Float64Array:
-        """Return the covariance (2, 2) of how far a place is off the ray.
+        """Return the covariance (2, 2) of a place's offset from the ray.
 
         ``by_place`` (2, 3) are the derivatives of the place's direction by the place: an eye that
         moves the other way has them, too.
@@ -197,7 +197,7 @@ class _Seen:
 def _fit(
     place_m: Float64Array, seen: Sequence[_Seen], curvature: Curvature
 ) -> tuple[Float64Array, Float64Array, float]:
-    """Return the normal matrix at a place, the pull, and the squared misfits."""
+    """Return a place's normal matrix, its pull, and the squared misfits."""
     normal, pull, misfit = np.zeros((3, 3)), np.zeros(3), 0.0
     for one in seen:
         off, slopes = one.off(place_m, curvature)

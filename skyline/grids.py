@@ -1,4 +1,4 @@
-"""Horizons and sky view factors at every sample of an elevation model, as DataArrays.
+"""Horizons and sky view factors at a DEM's samples, as DataArrays.
 
 Azimuths are degrees from true north.
 """
@@ -187,7 +187,7 @@ class _Grid:
 
     @classmethod
     def of(cls, dem: Any) -> _Grid:
-        """Return the grid of an array, or of the field that anything else is read as."""
+        """Return the grid of an array, or of any other DEM's field."""
         xarray = library("xarray", "a DataArray")
         field = read_dem(dem)
         if isinstance(dem, xarray.DataArray):
@@ -230,7 +230,7 @@ class _Grid:
         return len(self.y), len(self.x)
 
     def position_m(self, rows: IntArray, cols: IntArray) -> tuple[Float64Array, Float64Array]:
-        """Return easting and northing (rows * columns,) of samples in the field's frame."""
+        """Return samples' easting and northing (rows * columns,) in the field's frame."""
         y, x = (one.ravel() for one in np.meshgrid(self.y[rows], self.x[cols], indexing="ij"))
         if self.crs is None:
             # Rounding must not put the outermost samples off the map.
@@ -250,7 +250,7 @@ class _Grid:
 
 
 class _Eyes:
-    """Eyes on the samples of a grid, and the renderer of their horizons.
+    """Eyes on a grid's samples, and the renderer of their horizons.
 
     Any thread may look. Workers of Dask get a copy without the renderer, and make their own.
     """
@@ -278,7 +278,10 @@ class _Eyes:
         return cls(_Grid.of(dem), steps, eye_height_m, curvature)
 
     def look(self, rows: IntArray, cols: IntArray) -> tuple[Float64Array, Any]:
-        """Return horizons (N, A) in degrees, and where (rows, columns) the N eyes stand."""
+        """Return horizons (N, A) in degrees, and where the eyes stand.
+
+        The second result marks (rows, columns) with the N eyes.
+        """
         field = self.grid.field
         easting_m, northing_m = self.grid.position_m(rows, cols)
         ground_m = field.height_at(easting_m=easting_m, northing_m=northing_m)

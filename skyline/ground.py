@@ -104,12 +104,15 @@ class GroundPoints(Rows):
 
     @property
     def error_m(self) -> Float64Array:
-        """(N,) float64: standard error of the place, the root mean square of its distance."""
+        """(N,) float64: standard error of the place, as rms distance."""
         return np.asarray(np.sqrt(self.covariance_m2[:, 0, 0] + self.covariance_m2[:, 1, 1]))
 
     @property
     def axes(self) -> tuple[Float64Array, Float64Array, Float64Array]:
-        """Semi-axes (N,) of the 95 % ellipses, metres, and grid azimuths of the long ones, rad."""
+        """Semi-axes and grid azimuths (N,) of the 95 % ellipses.
+
+        The semi-axes are in metres; the azimuths are of the long ones, in radians.
+        """
         return ellipse_axes(np.nan_to_num(self.covariance_m2[:, :2, :2]))
 
 
@@ -151,7 +154,7 @@ class GroundView:
         elevation_tan: Float64Array,
         progress: Progress | None = None,
     ) -> Float64Array:
-        """Return the distances (N,) at which rays meet the ground; NaN for sky."""
+        """Return distances (N,) at which rays meet ground; NaN for sky."""
         rays = azimuth_rad.ravel(), elevation_tan.ravel()
         found_m = first_hits_m(
             self.terrain, self.eye, self.curvature, *rays, self._step_rad, progress

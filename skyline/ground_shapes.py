@@ -1,4 +1,4 @@
-"""Shapes of a photo on the ground, and shapes of the map in a photo.
+"""A photo's shapes on the ground, and the map's in it.
 
 Between their vertices, lines follow the ground: lines of a photo are cut into pieces of a few
 pixels, lines of the map into pieces as long as the spacing of the terrain model.
@@ -40,7 +40,7 @@ class Measure:
 
 @dataclass(frozen=True, slots=True)
 class Jump:
-    """Where a photo's line passes from near ground to the ground that shows behind it."""
+    """Where a photo's line passes from near ground to ground behind it."""
 
     near_m: float
     """Horizontal distance from the camera to the near ground."""
@@ -202,7 +202,7 @@ def _between(ring: Float64Array, position: Float64Array) -> Float64Array:
 def _lengths_m(
     ring: GroundPoints, is_closed: bool, level: bool = True
 ) -> tuple[Float64Array, Float64Array]:
-    """Return the lengths of a ring's pieces, and the pieces (N, 2 or 3)."""
+    """Return lengths and vectors (N, 2 or 3) of a ring's pieces."""
     axes = [ring.easting_m, ring.northing_m] + [ring.elevation_m] * (not level)
     place = np.stack(axes, axis=1)
     pieces = np.diff(np.concatenate([place, place[:1]]) if is_closed else place, axis=0)
@@ -268,7 +268,7 @@ class _Measured:
         return Measure(total_m2 / self.scale**2, self._sd(changes) / self.scale**2)
 
     def _sd(self, changes: Sequence[Float64Array]) -> float:
-        """Return a figure's standard error from its derivatives (N, 2) by places of each ring."""
+        """Return a figure's standard error from derivatives (N, 2) by rings' places."""
         by_pose = np.zeros(self._rings[0].by_pose.shape[2])
         variance = 0.0
         for ring, change, at, count in zip(

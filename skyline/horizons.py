@@ -137,7 +137,7 @@ class LocalHorizons:
     def sel(
         self, place_id: str | None = None, *, lon: float | None = None, lat: float | None = None
     ) -> LocalHorizons:
-        """Return one place: the one with an id, or the one nearest to a position.
+        """Return the place with an id, or the one nearest a position.
 
         Parameters
         ----------
@@ -233,9 +233,10 @@ class LocalHorizons:
         return self._above(Body.SUN, day)
 
     def moon_above(self, day: date | str) -> list[Interval]:
-        """Return when part of the moon's disc, dark or lit, is above the place's horizon.
+        """Return when part of the moon's disc is above the horizon.
 
-        Parameters, times and errors are as in `sun_above`; the day is the sun's.
+        The part may be dark. Parameters, times and errors are as in `sun_above`; the day is the
+        sun's.
         """
         return self._above(Body.MOON, day)
 
@@ -295,7 +296,7 @@ class LocalHorizons:
         )
 
     def _draw_lines(self, ax: Axes) -> None:
-        """Draw a line for each of several places, with a legend of a few."""
+        """Draw a line for each place, with a legend for a few."""
         lines = [
             ax.plot(one.azimuth_deg, one.elevation_deg, linewidth=1.0)[0] for one in self.ravel()
         ]
@@ -365,7 +366,7 @@ class LocalHorizons:
         return pandas.Series(elevation, index, name="horizon_elevation")
 
     def to_dataframe(self) -> DataFrame:
-        """Return a row for each place and azimuth, in the columns that ``skyline horizon`` writes.
+        """Return a row for each place and azimuth, as ``skyline horizon`` does.
 
         Returns
         -------

@@ -82,7 +82,7 @@ LEAST_LIKELY = 0.5
 
 
 class Place(NamedTuple):
-    """Where a camera stood, and how well that is known; as `Orienter` takes it."""
+    """Where a camera stood, and how surely, as `Orienter` takes it."""
 
     lon: float
     lat: float
@@ -209,7 +209,7 @@ class Orientation:
 
     @property
     def likely(self) -> Pose | None:
-        """The pose, if it can be trusted or is at least more likely right than wrong."""
+        """The pose, if it is trusted or more likely right than wrong."""
         is_likely = self.lacks_confidence_only and self.confidence >= LEAST_LIKELY
         return self.pose if is_likely else self.answer
 
@@ -225,7 +225,7 @@ class Orientation:
 
     @property
     def _compass_in_words(self) -> str | None:
-        """A sentence on the photo's compass, if it is off by more than usual."""
+        """A sentence on the photo's compass, if unusually far off."""
         noted = self.skyline.noted
         off_deg = self.heading_off_deg
         usual_deg = _DOUBTS.compass_sds * noted_heading_sd_deg(noted)
@@ -661,7 +661,7 @@ def place_of_camera(
     elevation_m: float | None,
     position_sd_m: float | None,
 ) -> Place:
-    """Return the place that is given, or else the one that a photo notes.
+    """Return the place given, or else the one that a photo notes.
 
     Raises `InputError` for a photo without a position.
     """

@@ -274,7 +274,7 @@ def height_of_ele(ele: object) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sighting:
-    """A peak as one eye sees it, or would see it if no terrain hid it."""
+    """A peak as an eye would see it without other terrain."""
 
     name: str
     easting_m: float

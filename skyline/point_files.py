@@ -1,4 +1,4 @@
-"""Control points in files: places on the map, and the pixels that show them.
+"""Control points in files: places on the map, and their pixels.
 
 They are CSV tables, or the ``.points`` of QGIS's georeferencer.
 """

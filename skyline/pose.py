@@ -568,7 +568,7 @@ class Poses(Rows):
         return self.fits
 
     def areas(self) -> IntArray:
-        """Return the area (M,) of each pose; 0 where there is only one."""
+        """Return each pose's area (M,); 0 where there is only one."""
         if self.sites is None:
             return np.zeros(len(self), dtype=np.intp)
         return self.sites.area

@@ -71,7 +71,7 @@ ASSUMED = AssumedErrors()
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Bearings(Rows):
-    """Directions of N pixels, and how they change with the pose and the pixel."""
+    """Directions of N pixels, and their derivatives by pose and pixel."""
 
     azimuth_rad: Float64Array
     """(N,) float64. From grid north."""
@@ -87,7 +87,7 @@ class Bearings(Rows):
     def of(
         cls, camera: Camera, column_px: ArrayLike, row_px: ArrayLike, unknowns: int
     ) -> "Bearings":
-        """Return the directions of a camera's pixels; its pose has so many unknowns."""
+        """Return directions of a camera's pixels, for a number of unknowns."""
         azimuth_deg, tangent = camera.directions(column_px, row_px)
         changes = np.stack(camera.changes(column_px, row_px), axis=1)
         still = np.zeros((len(changes), 2, HEADING))

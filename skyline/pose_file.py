@@ -92,7 +92,7 @@ def _check_photo(record: Any, path: Path, photo: Path) -> None:
 
 
 def _records_in(path: Path) -> list[Any]:
-    """Return the records of a file of JSON, or of lines of JSON."""
+    """Return the records of a file of JSON or JSON lines."""
     content = read_bytes(path, EXPECTED_RECORD)
     if not content.strip():
         raise InputError(f"pose {path} is empty; {EXPECTED_RECORD}")

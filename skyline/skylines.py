@@ -200,7 +200,7 @@ def joined_views(
 def quadrants(
     views: Views, bins: int, unusable: int, dtype: type[Float]
 ) -> tuple[NDArray[Float], IntArray, NDArray[Float]]:
-    """Return tangents of elevation (N, B / 4) at the bins of views.
+    """Return elevation tangents (N, B / 4) at the bins of views.
 
     Tangents are NaN in columns with ``unusable`` flags. Each bin's nearest column and the cosine of
     its azimuth, (B / 4,) each, are returned too. Azimuths count from the heading and begin 45

@@ -1,4 +1,4 @@
-"""The sun and the moon: where they stand, and when they are above a horizon.
+"""The sun and moon: where they stand, and when above a horizon.
 
 Azimuths are degrees from true north. The positions are PyEphem's (extra ``sun``), which needs no
 files of data: the theories VSOP87 and ELP 2000. Astropy's positions are at most 0.005 degrees off
@@ -67,7 +67,7 @@ def day_of(given: date | str) -> date:
 
 
 def time_of(given: datetime | str) -> datetime:
-    """Return a time in UTC, given or in a text such as 2026-12-21T15:04+01:00.
+    """Return a time in UTC, given or written like 2026-12-21T15:04+01:00.
 
     A time without a zone is in UTC. Raises `InputError` for anything else, and for years before
     1583 or after 9998.

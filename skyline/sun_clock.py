@@ -1,4 +1,4 @@
-"""The time of a photo by its sun or by a shadow, or its heading by the time.
+"""A photo's time by its sun or a shadow, or its heading.
 
 A pixel of the sun's or the moon's disc gives a direction. A shadow's tip and foot give an azimuth:
 whatever stands upright casts its shadow away from the sun, however tall it is and whatever the
@@ -75,7 +75,7 @@ class Pointing:
         return np.asarray(np.linalg.inv(self.covariance), dtype=np.float64)
 
     def off_deg(self, *seen: InSky) -> Float64Array:
-        """Return how far azimuths and elevations (N, 2) of a body are off.
+        """Return a body's offsets in azimuth and elevation, (N, 2).
 
         An unknown elevation counts as right.
         """
@@ -110,7 +110,7 @@ class ClockTime:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SunHeading:
-    """The heading of a camera by the sun or the moon at a known time.
+    """A camera's heading by the sun or moon at a known time.
 
     Attributes
     ----------
@@ -348,7 +348,7 @@ def heading_at(pose: Pose, pointing: Pointing, sky: Sky, body: Body, at: datetim
 
 
 def _refined(pointing: Pointing, sky: Sky, body: Body, at: datetime) -> ClockTime:
-    """Return the time near a minute at which a body is nearest to a direction."""
+    """Return when, near a minute, a body is nearest a direction."""
     weight = pointing.information
     minute = timedelta(seconds=_MINUTE_S)
     for _ in range(_NEWTON_STEPS):

@@ -1,4 +1,4 @@
-"""Points, lines and polygons in files: drawn in a photo, or on a map.
+"""Points, lines and polygons in files, of a photo or a map.
 
 A photo's vectors are GeoJSON in pixels, the annotations of LabelMe and COCO, or simple SVG; a map's
 are GeoJSON in degrees (RFC 7946), the tracks, routes and waypoints of GPX, or a GeoPackage.

@@ -1,4 +1,4 @@
-"""The errors of drawings laid on the ground, and of poses from control points.
+"""Errors of drawings laid on the ground, and of control points' poses.
 
 Photos see the elevation model with errors of 10 m rms added, and are matched, within 2 km of their
 places, in a store of the model itself. Polygons of 5 to 11 vertices and 15 to 45 pixels of radius
@@ -108,7 +108,7 @@ _HELD = """of km2 n wrong_named within_0.1_deg median_deg within_2_sd median_sd_
 
 
 def _matched(matcher: Matcher, query: SyntheticQuery) -> Pose | None:
-    """Return the answer for a photo, whose place is known to some kilometres."""
+    """Return the answer for a photo, its place known to some kilometres."""
     lon, lat = matcher.frame.to_lonlat(query.truth.easting_m, query.truth.northing_m)
     near = Narrowing(near=(float(lon), float(lat), _NEAR_KM))
     return matcher.match(query.skyline, narrowing=near).answer
@@ -117,7 +117,7 @@ def _matched(matcher: Matcher, query: SyntheticQuery) -> Pose | None:
 def _drawings(
     viewer: Viewer, truth: Viewer, query: SyntheticQuery, pose: Pose, rng: np.random.Generator
 ) -> Iterator[tuple[GroundShape, GroundShape]]:
-    """Yield polygons drawn in a photo, as they truly lie and as the pose has them."""
+    """Yield a photo's polygons, as they truly lie and by the pose."""
     photo = query.skyline
     true_view = truth.ground_view(true_pose(truth, query.truth), photo)
     view = viewer.ground_view(pose, photo)
@@ -138,7 +138,7 @@ def _drawings(
 
 
 def _polygon(query: SyntheticQuery, rng: np.random.Generator) -> Float64Array | None:
-    """Return a polygon (V, 2) below the skyline; None where there is no room."""
+    """Return a polygon (V, 2) below the skyline, or None without room."""
     photo = query.skyline
     column = int(rng.integers(60, photo.width_px - 60))
     top = query.row_px[column] + 20.0
@@ -185,7 +185,7 @@ def _drawn_row(found: Sequence[tuple[GroundShape, GroundShape]]) -> dict[str, An
 def _by_points(
     viewer: Viewer, truth: Viewer, query: SyntheticQuery, rng: np.random.Generator
 ) -> list[Row]:
-    """Return how a photo's control points orient it; nothing where it shows too little ground."""
+    """Return how control points orient a photo, if it shows enough ground."""
     size = _WIDE_PX, _WIDE_PX * 2 // 3
     unknown = np.full(size[0], np.nan), np.zeros(size[0])
     photo = PhotoSkyline(*unknown, *size, query.given_fov_deg)

@@ -61,7 +61,7 @@ def figures(
         ),
     ] = None,
 ) -> None:
-    """The tables and diagrams of records: of a folder of yours, or of the pages.
+    """The tables and diagrams of records, of a folder or the pages.
 
     In a folder, figures.md gets a table of each record, and records of speed-error and of searches
     get diagrams. In the pages, tables are written between the lines <!-- figures: NAME --> and

@@ -402,7 +402,7 @@ def _choose_eyes(field: HeightField, viewpoints: int, seed: int) -> tuple[Viewpo
 
 
 def _share(right: BoolArray, among: BoolArray, seed: int) -> tuple[float, tuple[float, float]]:
-    """Return the share of pairs that are right, and its 95 % interval.
+    """Return the share of right pairs, and its 95 % interval.
 
     The interval is over viewpoints.
     """

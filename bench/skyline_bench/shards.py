@@ -1,8 +1,8 @@
-"""Shards: one process against workers, each with a part of the places, up to a million km2.
+"""Shards: one process against workers, for up to a million km2.
 
-Areas of that size are simulated: one store stands for many stores of an area, and for many areas
-with frames of their own. So all processes map the same file; what they would map of real stores is
-computed.
+Each worker has a part of the places. Areas of that size are simulated: one store stands for many
+stores of an area, and for many areas with frames of their own. So all processes map the same file;
+what they would map of real stores is computed.
 """
 
 import os
@@ -45,7 +45,7 @@ from skyline_bench.measuring import Row, peak_bytes, square_km
 from skyline_bench.queries.synthetic import make_queries
 
 _AREA_KM2 = 1e5
-"""Size of an area, as of a store of nine tiles."""
+"""Size of an area: that of nine tiles."""
 _LISTED = 400
 """Poses of a short list; a search of few places has as many."""
 
@@ -61,12 +61,12 @@ def shards(
     quick: Annotated[bool, options.quick_with(places=2000, km2=[2e4])] = False,
     crs: options.Crs = None,
 ) -> None:
-    """Screening and fits of a photo by one process and by workers, and if a worker is killed.
+    """A photo screened and fitted by one process, and by workers.
 
-    Each of the workers has a part of the places. Answers are compared to the bit. Refinement, which
-    does not grow with the area, is left out. Processor time does not depend on what else the
-    machine does: with a core each, workers take as long as the busiest of them and the process that
-    asks them.
+    Each worker has a part of the places, and one is killed in the last round. Answers are compared
+    to the bit. Refinement, which does not grow with the area, is left out. Processor time does not
+    depend on what else the machine does: with a core each, workers take as long as the busiest of
+    them and the process that asks them.
     """
     terrain = read_dem(dem, DemOptions(crs=crs))
     with options.store_folder(folder) as kept, local_cluster(workers) as cluster:
@@ -91,7 +91,7 @@ def _client(cluster: Any) -> Iterator[Any]:
 
 
 class _Again(PlaceMap):
-    """Whole blocks of places, again and again, as the places of one area."""
+    """Whole blocks of places, repeated as the places of one area."""
 
     def __init__(self, places: PlaceMap, copies: int) -> None:
         self._source = places
@@ -226,7 +226,7 @@ class _Found:
 
 
 def _usage() -> tuple[float, int]:
-    """Return the processor time and the greatest memory of a process so far."""
+    """Return a process's processor time and greatest memory so far."""
     return time.process_time(), peak_bytes() or 0
 
 

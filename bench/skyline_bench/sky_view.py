@@ -35,7 +35,7 @@ def sky_view(
     quick: Annotated[bool, options.quick_with(side=100)] = False,
     crs: options.Crs = None,
 ) -> None:
-    """The sky view factor of a whole DEM: seconds, and errors by the step of azimuths.
+    """A whole DEM's sky view factor: seconds, and errors by azimuth step.
 
     A square is cut out of the DEM's middle, and taken as the whole DEM. Errors are differences from
     factors of horizons with steps of 0.5 degrees at n of its samples.
@@ -49,7 +49,7 @@ def sky_view(
 
 
 def _middle(terrain: HeightField, side: int) -> HeightField:
-    """Return the square in a field's middle, or all of a smaller field."""
+    """Return a field's middle square, or all of a smaller field."""
     rows, cols = min(side, terrain.rows), min(side, terrain.cols)
     top, left = (terrain.rows - rows) // 2, (terrain.cols - cols) // 2
     west_m, north_m = terrain.to_map(top, left)

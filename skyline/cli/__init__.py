@@ -17,8 +17,8 @@ COMMANDS = {
         "label": "Write the names of summits on a copy of a photo.",
         "pixels": "Give the position on the terrain of each pixel of a photo.",
         "cross": "Give the position of something that two or more photos show.",
-        "when": "Tell when a photo was taken, by its sun, its moon or a shadow.",
-        "draw": "Lay lines drawn in a photo on the map, or draw the map's into the photo.",
+        "when": "Tell when a photo was taken, by sun, moon or shadow.",
+        "draw": "Draw lines of a photo on the map, or the reverse.",
         "ortho": "Lay photos on the ground, as a Cloud-Optimized GeoTIFF.",
         "extract": "Find the skyline in a photo and write it as a trace.",
         "serve": "Serve a page that finds the places of photos in a browser.",
@@ -30,7 +30,7 @@ COMMANDS = {
     },
     "Views from a position": {
         "horizon": "Give the horizon at positions, by azimuth from true north.",
-        "sun": "Print when the sun and the moon are above the mountains on a day.",
+        "sun": "Print when sun and moon are above the mountains on a day.",
         "panorama": "Draw the view from a position, with the peaks' names.",
     },
     "Data": {

@@ -1,4 +1,4 @@
-"""``skyline draw``: lines of a photo on the map, and lines of the map in a photo."""
+"""``skyline draw``: lines of a photo on the map, or the reverse."""
 
 from pathlib import Path
 from typing import Annotated
@@ -45,7 +45,7 @@ def draw(
     projection: PhotoProjection = None,
     crs: Crs = None,
 ) -> None:
-    """Lay lines drawn in a photo on the map, or draw the map's into the photo.
+    """Draw lines of a photo on the map, or the reverse.
 
     Shapes drawn in the photo get places, elevations, lengths and areas, with their errors. Shapes
     of the map are drawn into the photo, with hidden parts dashed.

@@ -1,4 +1,4 @@
-"""``skyline sun``: when sun and moon are above the mountains, and over a summit."""
+"""``skyline sun``: when sun and moon are above mountains or a summit."""
 
 from datetime import date
 from typing import Annotated
@@ -54,7 +54,7 @@ def sun(
     refraction_k: RefractionK = None,
     crs: Crs = None,
 ) -> None:
-    """Print when the sun and the moon are above the mountains on a day.
+    """Print when sun and moon are above the mountains on a day.
 
     The result is a CSV of times in UTC and azimuths from true north. With --over,
     it is a CSV of the positions from which sun or moon stand right over a summit,

@@ -50,7 +50,7 @@ def when(
     projection: PhotoProjection = None,
     crs: Crs = None,
 ) -> None:
-    """Tell when a photo was taken, by its sun, its moon or a shadow.
+    """Tell when a photo was taken, by sun, moon or shadow.
 
     Given the time in place of the day, tell the camera's heading. Each answer has its standard
     error. The extra `sun` is needed.

@@ -54,7 +54,7 @@ def width_deg(bounds_deg: Bounds) -> float:
 
 
 def box_around(one: Bounds, other: Bounds) -> Bounds:
-    """Return the box around two boxes that are less than half a turn apart."""
+    """Return the box around two boxes less than half a turn apart."""
 
     def start_deg(box: Bounds) -> float:
         return float(in_turn(box[0], one[0]))

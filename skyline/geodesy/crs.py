@@ -51,7 +51,7 @@ def is_of_earth(crs: CRS) -> bool:
 
 
 def lonlat_of(crs: CRS) -> CRS:
-    """Return the CRS of longitudes and latitudes for the body of another CRS.
+    """Return the CRS of longitudes and latitudes on another CRS's body.
 
     It is WGS 84 for the Earth. Longitudes count to the east from the prime meridian of the body.
     """

@@ -177,12 +177,12 @@ def weighed_by_contours(
 
 
 def _is_of_answer(one: Pose, best: Pose) -> bool:
-    """Return whether a pose is within 1 km of the best, and looks the same way."""
+    """Return whether a pose is near the best and looks its way."""
     return one.distance_m(best) <= ROUGHLY_WITHIN_M and one.turn_deg(best) <= SAME_VIEW_DEG
 
 
 def _shared(one: Pose, best: Pose, before: float, after: float) -> Pose:
-    """Return a pose with its share of the answer's new probability, or of the rest."""
+    """Return a pose with its share of the new probabilities."""
     if _is_of_answer(one, best):
         share = after / before if before > 0.0 else 1.0
     else:
@@ -227,7 +227,10 @@ def _gradients_of(shades: UInt8Array, photo: PhotoSkyline) -> _Gradients:
 
 
 def _in_photo(px: Float64Array | IntArray, scale: float) -> Float64Array:
-    """Return pixels of the photo from pixels of its shades; centres are at whole numbers."""
+    """Return pixels of the photo from pixels of its shades.
+
+    Centres are at whole numbers.
+    """
     return np.asarray((px + 0.5) / scale - 0.5, dtype=np.float64)
 
 
@@ -243,7 +246,7 @@ def _pieces_of(
     curvature: Curvature,
     gradients: _Gradients,
 ) -> _Pieces:
-    """Return the pieces of ridges that a pose shows on ground that counts."""
+    """Return the pieces of ridges that a pose shows on counted ground."""
     height, width = gradients.counts.shape
     scale = width / photo.width_px
     camera = pose.camera(photo)
@@ -333,9 +336,9 @@ def _deviations(pieces: _Pieces, gradients: _Gradients) -> float | None:
 
 
 def _strengths(pieces: _Pieces, gradients: _Gradients) -> Float64Array:
-    """Return the strengths (2 S + 1, P) of pieces at shifts of -S to S rows.
+    """Return the strengths of pieces at shifts of -S to S rows.
 
-    They are -inf where too little of a piece lies on ground that counts.
+    They are (2 S + 1, P), and -inf where too little of a piece lies on ground that counts.
     """
     height = len(gradients.counts)
     shift = np.arange(-_RULES.most_shift_px, _RULES.most_shift_px + 1)

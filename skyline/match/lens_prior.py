@@ -74,7 +74,7 @@ class LensPrior:
         return np.sqrt(2.0 * np.maximum(self.cost(log_scale), 0.0))
 
     def _parts(self, log_scale: Any) -> tuple[Float64Array, Float64Array, float]:
-        """Return the costs of core and tail, and the tail's share at 0."""
+        """Return costs of core and tail, and the tail's share at 0."""
         square = 0.5 * np.square(np.asarray(log_scale, dtype=np.float64))
         # A core as wide as crops needs no tail.
         if not self.crop_share or self.sd >= CROP_SD:

@@ -211,7 +211,7 @@ class Matcher(Closeable):
         self._method = self._method.by_shards(shards, at_once)
 
     def only_area(self) -> MatchedArea:
-        """Return the one area that is searched; raises `InputError` if there are several."""
+        """Return the one area searched; raises `InputError` if there are several."""
         if len(self.areas) > 1:
             raise InputError(
                 f"the stores are of {len(self.areas)} elevation models, and this needs one: name "
@@ -417,10 +417,10 @@ class Matcher(Closeable):
         walked_km_h: float,
         report_progress: Progress | None = None,
     ) -> list[Posterior]:
-        """Return the posteriors of photos that one person took on a walk, each from all of them.
+        """Return the posterior of each photo of a walk, from all photos.
 
-        The person went at most at this speed from photo to photo, as the crow flies. All posteriors
-        are on one grid.
+        One person took them, and went at most at this speed from one to the next, as the crow
+        flies. All posteriors are on one grid.
 
         Parameters
         ----------
@@ -431,7 +431,7 @@ class Matcher(Closeable):
         walked_km_h : float
             Greatest speed, kilometres per hour.
         report_progress : callable, optional
-            Called with the number of photos that are done, and with that of all.
+            Called with the numbers of photos that are done, and of all.
 
         Raises
         ------

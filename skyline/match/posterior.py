@@ -1,4 +1,4 @@
-r"""Posterior: the probability of every place of the searched area, given a photo.
+r"""Posterior: the probability of every place searched, given a photo.
 
 A search has candidates c, their covariances, and how sure the best one is: it is right within
 200 m with the probability P_200, and within 1 km with P_1000. The posterior of a place x is
@@ -7,8 +7,8 @@ A search has candidates c, their covariances, and how sure the best one is: it i
 
     p(x) = \sum_c m_c\, t(x; x_c, \Sigma_c) + r\, N(x; x_1, S^2) + q\, p_q(x)
 
-with Student's t of n degrees of freedom, which is as wide as the normal distribution where that
-holds 95 %: covariances are often too large, and now and then too small by far.
+where t is Student's distribution with n degrees of freedom, scaled so that its region of 95 % is
+the normal distribution's. Covariances are often too large, and now and then far too small.
 
 .. math::
 
@@ -16,18 +16,18 @@ holds 95 %: covariances are often too large, and now and then too small by far.
     \left(1 + \frac{(x - x_c)^T \Sigma^{-1} (x - x_c)}{n k}\right)^{-(n + 2) / 2}, \quad
     k = \frac{-2 \ln 0.05}{n (0.05^{-2 / n} - 1)}
 
-The masses m of the candidates are their confidences, so that of the best is P_200; r is the rest of
-P_1000, and q is what is left: the probability that no candidate is right. It is spread by what
-retrieval knows, over the poses k that fit without rendering, by their costs C, and over all places
-i, by their scores z in screening and the areas a that they represent:
+The masses m of the candidates are their confidences: P_200 for the best one. r is the rest of
+P_1000. q is the probability that no candidate is right. Retrieval spreads q over the poses k that
+fit without rendering, by their costs C, and over all places i, by their scores z in screening and
+the areas a that they represent:
 
 .. math::
 
     p_q(x) = f \sum_k \frac{e^{-C_k / T}}{\sum e^{-C / T}} N(x; x_k, t^2) +
     (1 - f) \sum_i \frac{a_i e^{b z_i}}{\sum a\, e^{b z}} N(x; x_i, t^2 + a_i / 4)
 
-The settings of `Spread` are learned. Where a photo notes its place, both sums are weighted by the
-density of `skyline.match.prior` besides.
+The settings of `Spread` are learned. Where a photo notes its place, both sums are also weighted
+by the density of `skyline.match.prior`.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ SHARES = (0.5, 0.8, 0.95)
 class Spread:
     """How widely probability is spread around what a search has found.
 
-    The settings are about the likeliest ones for 35 searches in the Sierra and the Rofental, of
+    The settings are close to the likeliest for 35 searches in the Sierra and the Rofental, of
     which 23 were unsure (their record is not kept). The likelihood has a flat maximum.
     """
 
@@ -95,7 +95,7 @@ _SIZE = MapSize()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AlikePlaces(Rows):
-    """The N places that a search compares, and how alike their skylines are to a photo's.
+    """N places that a search compares, and their likeness to a photo.
 
     Attributes
     ----------
@@ -126,7 +126,7 @@ class Spots(Rows):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Posterior(ShortRepr):
-    """How probable it is that a photo was taken in each cell of the searched area.
+    """The probability that a photo was taken in each cell.
 
     Attributes
     ----------
@@ -164,12 +164,12 @@ class Posterior(ShortRepr):
         return float(cells[np.searchsorted(held, share * held[-1])])
 
     def area_km2(self, share: float) -> float:
-        """Return the size of the smallest area that holds a share of the probability."""
+        """Return the size of the smallest area that holds a share."""
         cells = np.count_nonzero(self.probability >= self.least_probability(share))
         return float(cells * (self.cell_m / 1000.0) ** 2)
 
     def probability_at(self, *, easting_m: float, northing_m: float) -> float:
-        """Return the probability of the cell of a place; 0 outside the map."""
+        """Return the probability of a place's cell; 0 outside the map."""
         row = math.floor((self.north_m - northing_m) / self.cell_m)
         col = math.floor((easting_m - self.west_m) / self.cell_m)
         rows, cols = self.probability.shape
@@ -177,7 +177,7 @@ class Posterior(ShortRepr):
         return float(self.probability[row, col]) if is_inside else 0.0
 
     def share_at(self, *, easting_m: float, northing_m: float) -> float:
-        """Return the share of the probability that lies in more probable cells than a place's.
+        """Return the probability of all cells more probable than a place's.
 
         The place lies in the regions of greater shares.
         """
@@ -185,7 +185,7 @@ class Posterior(ShortRepr):
         return float(self.probability[self.probability > own].sum(dtype=np.float64))
 
     def region(self, share: float) -> list[list[Float64Array]]:
-        """Return the outline of the smallest area that holds a share of the probability.
+        """Return the outline of the smallest area that holds a share.
 
         Returns
         -------
@@ -222,7 +222,7 @@ class Posterior(ShortRepr):
         ]
 
     def _simplified(self, ring: Float64Array) -> Float64Array:
-        """Return a closed outline with fewer points, moved by a quarter of a cell at most."""
+        """Return a closed outline, simplified by a quarter of a cell."""
         # Single precision has no room for eastings of a whole country.
         off = (ring - ring[0]).astype(np.float32)
         kept = cv2.approxPolyDP(off[:-1, np.newaxis], 0.25 * self.cell_m, closed=True)[:, 0]
@@ -298,9 +298,9 @@ def posterior_of(
     places : AlikePlaces
         The places that were searched, one or more.
     frame : Frame
-        The frame of all of them.
+        The frame of places and poses.
     noted : PlacePrior, optional
-        The place that the photo notes. Candidates' confidences know it already.
+        The place that the photo notes. Candidates' confidences already allow for it.
     grid : MapGrid, optional
         By default the one around the places and the candidates.
     """
@@ -332,8 +332,8 @@ def candidate_spots(candidates: Sequence[Pose]) -> tuple[Spots, float, float]:
     """Return the candidates with their shares of the probability.
 
     The second value is the probability that the best candidate is off by 200 m to 1 km and no other
-    is right, the third that none is right. A candidate within 200 m of a better one has no share of
-    its own: the better one's confidence and covariance include it.
+    is right. The third is the probability that none is right. A candidate within 200 m of a better
+    one has no share of its own: the better one's confidence and covariance include it.
     """
     if not candidates:
         none = np.zeros(0)
@@ -351,7 +351,7 @@ def candidate_spots(candidates: Sequence[Pose]) -> tuple[Spots, float, float]:
 
 
 def _log_prior(at: Poses | AlikePlaces, noted: PlacePrior | None) -> Float64Array:
-    """Return the log density (N,) of places, up to a constant, by the place that a photo notes."""
+    """Return the unnormalized log density (N,) of places, by the noted one."""
     none = np.zeros(len(at))
     if noted is None:
         return none
@@ -381,7 +381,7 @@ class _Layer:
 
     def add_spot(self, spot: Spots) -> None:
         """Add a candidate's distribution, as far as it lies on the grid."""
-        # A distribution that is narrower than a cell has the deviation of half a cell.
+        # Half a cell is added, so that a narrow distribution reaches the middle of a cell.
         covariance = spot.covariance_m2[0] + (0.5 * self.cell_m) ** 2 * np.eye(2)
         reach = SPREAD.reach_sds * np.sqrt(np.diag(covariance))
         rows, cols = self.probability.shape
@@ -403,7 +403,7 @@ class _Layer:
     ) -> None:
         """Add round normal distributions, whose deviations are of several cells or more.
 
-        They are blurred on a coarser grid, by groups of nearly equal deviations.
+        They are blurred on a coarser grid, in groups of nearly equal deviations.
         """
         rows, cols = self.probability.shape
         step = max(1, int(sd_m.min() / (2.0 * self.cell_m)))
@@ -428,7 +428,7 @@ class _Layer:
 def _density(
     covariance_m2: Float64Array, east_m: Float64Array, north_m: Float64Array
 ) -> Float64Array:
-    """Return Student's t (R, C), a square metre, at offsets east (C,) and north (R,)."""
+    """Return Student's t per square metre (R, C), at offsets in metres."""
     freedom = SPREAD.freedom
     scale = -2.0 * math.log(0.05) / (freedom * (0.05 ** (-2.0 / freedom) - 1.0))
     precision = np.linalg.inv(scale * covariance_m2)
@@ -440,6 +440,6 @@ def _density(
 
 
 def _cells(middle_m: float, reach_m: float, cell_m: float, count: int) -> slice:
-    """Return the cells of a row that lie within a reach of its middle."""
+    """Return the cells of a row within a reach of a point."""
     begin = math.floor((middle_m - reach_m) / cell_m)
     return slice(max(begin, 0), min(math.ceil((middle_m + reach_m) / cell_m), count))

@@ -144,7 +144,7 @@ class Rays(ImagePoints):
     def about(
         self, fov_sd_deg: float, most_deg: float = math.inf, crop_share: float = 0.0
     ) -> "Rays":
-        """Return the rays with a field of view that is known up to a deviation.
+        """Return the rays with a field of view known to a deviation.
 
         Four standard deviations about the current one are searched, as far as a camera allows and
         up to ``most_deg``; down to half of it, if the photo was cropped with a probability of

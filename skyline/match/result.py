@@ -162,7 +162,7 @@ class MatchResult:
 
     @property
     def exif(self) -> dict[str, Any] | None:
-        """The pose noted in EXIF, and how far off the best candidate lies.
+        """The pose noted in EXIF, and the best candidate's distance from it.
 
         The keys are as in ``exif`` of ``skyline match --json``. ``heading_off_deg`` is how far the
         best candidate's heading is clockwise of the photo's; ``heading_is_magnetic`` is None if the
@@ -495,7 +495,7 @@ def _confidence_within(one: Pose, within_m: float | None) -> float | None:
 
 
 def _verdict_lines(result: MatchResult | JointResult, best: str) -> Iterator[str]:
-    """Yield lines on the answer, the best place, and on why there is none."""
+    """Yield lines on the answer, or on why there is none."""
     if result.answer is not None:
         sure = ""
         if result.confidence is not None and result.within_m is not None:

@@ -1,12 +1,12 @@
 """Retrieval: from rays to a short list of poses in a store.
 
-It is coarse to fine. A coarse screen compares the photo with every place by phases, and a fine one
-with the best of these places (`skyline.match.screen`). Then whole poses are fitted to the skylines
-of the best places, first roughly to many of them, then well to fewer (`skyline.match.fit`). A short
-list holds the best poses that differ from one another.
+Retrieval goes from coarse to fine. A coarse screen compares the photo with every place by phases,
+and a fine screen compares it with the best of them (`skyline.match.screen`). Then whole poses are
+fitted to the skylines of the best places, first roughly to many of them, then well to fewer
+(`skyline.match.fit`). A short list holds the best poses that differ from one another.
 
 The most promising places come first. They make the first short list, which is enough for most
-photos. The last short list is of all places that are worth a fit.
+photos. The last short list is made from all places that are worth a fit.
 """
 
 import math
@@ -54,13 +54,13 @@ class RetrievalEffort:
     """Fields of view more than this many standard deviations from the expected one are not
     screened, though fits may reach them."""
     unlikely_penalty: float = 0.5
-    """Penalty of a field of view in screening, over the cost of its `LensPrior`."""
+    """Penalty of a field of view in screening, as a multiple of its cost in `LensPrior`."""
     least_crop_share: float = 0.1
-    """Least probability of a crop with which narrower fields of view are screened."""
+    """Narrower fields of view are screened if a crop is at least so probable."""
     crop_steps: float = 2.0
-    """Step between those narrower ones, in steps of the likely ones."""
+    """Step between these narrower fields of view, in steps of the likely ones."""
     rough_share: float = 0.05
-    """Share of all places that the last short list is of."""
+    """Share of all places from which the last short list is made."""
     rough_least: int = 16_384
     """Least number of these places."""
     rough_most: int = 262_144
@@ -71,9 +71,9 @@ class RetrievalEffort:
     starts: float = 1.5
     """Mean number of rough fits for a place."""
     good_share: float = 1 / 3
-    """Share of the rough fits from which poses are fitted well: the best ones."""
+    """Share of the rough fits, the best ones, that are followed by good fits."""
     good_least: int = 1024
-    """Least number of good fits, as many as a whole first short list has. In a search of few places
+    """Least number of good fits: a whole first short list has as many. In a search of few places
     every pose is fitted well, so the short list lacks none of them."""
     good_most: int = 8192
     """Greatest number of good fits."""
@@ -119,7 +119,7 @@ class Retriever:
         return int(self._first[-1])
 
     def sample(self, count: int) -> Places:
-        """Return some ``count`` places, the same ones in every process."""
+        """Return about ``count`` places, the same ones in every process."""
         step = max(1, len(self) // count)
         rows = np.arange(0, len(self), step, dtype=np.intp)
         return self._of_each(rows, lambda shard, _, mine: shard.take(mine), Places.concatenate)
@@ -156,7 +156,7 @@ class Retriever:
         ask: Callable[[Shard, IntArray, IntArray], T],
         concatenate: Callable[[list[T]], T],
     ) -> T:
-        """Return what shards answer about places (M,), in the order of the places.
+        """Return shards' answers about places (M,), in the places' order.
 
         ``ask`` takes a shard, the indices of its places in ``rows``, and their rows in the shard.
         """
@@ -193,7 +193,7 @@ class Retriever:
         prior: Prior = NOTHING_KNOWN,
         report: ReportProgress = silent,
     ) -> Iterator[Poses]:
-        """Yield short lists of a photo's likely poses, each of more places.
+        """Yield short lists of a photo's likely poses, each from more places.
 
         A list has up to ``count`` poses, best first, which may lie between the places. The poses of
         earlier lists compete again for a place in later ones. A list is empty where no fitted pose
@@ -221,8 +221,8 @@ class Retriever:
         """Yield the places of each short list that earlier lists lack.
 
         ``screens`` holds the coarse and the fine screen of each photo, whose scores are added.
-        ``counts`` says of how many places each list is, the places of earlier lists included; there
-        are fewer if fewer lie within the narrowings. Raises `InputError` where none does.
+        ``counts`` has the number of places of each list, with the places of earlier lists; a list
+        has fewer if fewer lie within the narrowings. Raises `InputError` where none does.
         """
         coarse, fine = zip(*screens, strict=True)
         ranked = self._ranked(coarse, priors, _EFFORT.screened_again * counts[-1], report)
@@ -276,9 +276,10 @@ class Retriever:
     def alike_places(
         self, photos: Sequence[tuple[Rays, Prior]], report: ReportProgress = silent
     ) -> AlikePlaces:
-        """Return all places within the narrowings of photos of one eye, with their scores.
+        """Return all places within the narrowings of photos, with scores.
 
-        The scores are of the coarse screen, summed over the photos. The places are of one area.
+        The photos are of one eye, and the places of one area. The coarse screen gives the scores,
+        which are summed over the photos.
         Raises `InputError` where the search is narrowed to no place.
         """
         priors = [prior for _, prior in photos]
@@ -292,7 +293,7 @@ class Retriever:
     def fitted_all_round(self, rays: Rays) -> Poses:
         """Return poses fitted to a photo at every place.
 
-        They start from headings all the way round. The places are few, since none is screened out.
+        They start from headings all the way round. No place is screened out, so there must be few.
         """
         row, heading_rad, log_scale = np.meshgrid(
             np.arange(len(self)),
@@ -357,7 +358,7 @@ class Retriever:
     def _screen(
         self, rays: Rays, prior: Prior, log_scales: Float64Array, *, coarse: bool = False
     ) -> Screen:
-        """Return a screen of fields of view, with a penalty for unlikely ones."""
+        """Return a screen of fields of view that penalizes unlikely ones."""
         penalty = _EFFORT.unlikely_penalty * rays.lens.cost(log_scales)
         fovs_deg = rays.searched_fov_deg(log_scales)
         return Screen(rays, fovs_deg, self._sample, prior.open_turns, penalty, coarse=coarse)
@@ -397,7 +398,7 @@ class Retriever:
     ) -> list[Poses]:
         """Return the photos' poses fitted well from the ``count`` best common starts.
 
-        Rough fits choose these starts, where there are more.
+        If there are more starts, rough fits choose the best.
         """
         if count < len(starts[0]):
             rough = [
@@ -412,7 +413,10 @@ class Retriever:
         ]
 
     def _fits(self, rays: Rays, starts: Starts, effort: FitEffort, report: ReportProgress) -> Poses:
-        """Return the poses fitted from starts, in order, with their sites if there are several."""
+        """Return the poses fitted from starts, in order.
+
+        They have sites if there are several areas.
+        """
 
         def fitted(shard: Shard, mine: IntArray, rows: IntArray) -> Poses:
             return shard.fitted(rays, replace(starts[mine], row=rows), effort, report)
@@ -424,7 +428,7 @@ class Retriever:
 
 
 def _report_part(report: ReportProgress, done: float, share: float, step: str, part: float) -> None:
-    """Report that a part of a shard is done, as a share of all shards."""
+    """Report part of a shard's work as a share of all work."""
     report(step, done + share * part)
 
 
@@ -447,8 +451,8 @@ def _total(found: Sequence[Poses]) -> Float64Array:
 def _even_log_scales(rays: Rays, low: float, high: float, step: float) -> Float64Array:
     """Return the middles of equal parts of a range.
 
-    There are as few parts as possible, each no wider than a step. The step of a wide panorama or
-    fisheye is shorter: its ends move as far as the ends of a lens.
+    There are as few parts as possible, each no wider than a step. A wide panorama or fisheye has a
+    shorter step, so its ends move no farther than the ends of a lens.
     """
     if rays.projection.spreads_angles:
         step *= min(1.0, REFERENCE_FOV_DEG / rays.fov_deg)
@@ -459,7 +463,7 @@ def _even_log_scales(rays: Rays, low: float, high: float, step: float) -> Float6
 def _likely_log_scales(rays: Rays, step: float) -> Float64Array:
     """Return `Rays.log_scale` of likely fields of view, a step apart.
 
-    Those of crops lie farther apart, and are left out if a crop is unlikely.
+    Fields of view of crops lie farther apart, and are left out if a crop is unlikely.
     """
     likely = _EFFORT.likely_sd * rays.lens.sd
     least, most = rays.log_scale_bounds

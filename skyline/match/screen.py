@@ -63,11 +63,11 @@ _BLOCKS_AT_ONCE = 16
 """Blocks that a thread takes. With one, two threads spend half their time waiting for the GIL."""
 _PLACES_AT_ONCE = 1024
 """Places that a coarse screen compares together, so that memory does not grow with their number.
-Fewer are filled up to this number: a product of matrices of another shape may round differently,
-and a score must not depend on the places that are scored with it."""
+Fewer are padded to this number: a product of matrices of another shape may round differently, and
+a score must not depend on the places that are scored with it."""
 CHOSEN_AT_ONCE = 128
-"""Places that a fine screen compares together, filled up likewise. They are the best ones, which
-may be few in each shard."""
+"""Places that a fine screen compares together, padded likewise. They are the best ones, which may
+be few in each shard."""
 
 
 Scores = Callable[[UInt8Array], Float32Array]
@@ -95,7 +95,10 @@ class Alike(Rows):
     score: Float32Array
 
     def best(self, count: int | None = None) -> "Alike":
-        """Return the best ``count`` places, by default all; equal ones in the source's order."""
+        """Return the best ``count`` places, by default all, best first.
+
+        Places of equal score keep the source's order.
+        """
         return self[np.lexsort((self.row, -self.score))[:count]]
 
     @classmethod
@@ -151,8 +154,8 @@ class Screen:
         self._first = first
         self._span = last - first + 1
         self._fovs = len(fovs_deg)
-        # (2, 2 (span + 19), F T) float32. The photo at F fields of view and at T turns, which are
-        # those of 20 that are compared; then its derivative by roll, scaled so that the square of
+        # (2, 2 (span + 19), F T) float32. The photo at F fields of view and at T turns,
+        # the compared ones of 20; then its derivative by roll, scaled so that the square of
         # its product is the gain of a roll. A coarse screen has no derivative.
         waves = np.stack([level] if coarse else [level, _rolled(level)])
         self._matrices = _at_turns(waves[:, :, first : last + 1], self._turn_step)
@@ -221,8 +224,8 @@ class Screen:
         strip = np.concatenate([phase[:, self._first :], phase, phase], axis=1)[:, :wanted]
         waves = decode_phases(strip).view(np.float32)
         runs = sliding_window_view(waves, self._matrices.shape[1], axis=1)[:, :: 2 * _TURNS_AT_ONCE]
-        # The derivative has a product of its own. In a joint one its sums would lie apart, and to
-        # square them would take as long again.
+        # The derivative has a product of its own. In a joint product its sums would lie apart, and
+        # squaring them would take as long again.
         level, *rolled = np.matmul(runs[:, parts].transpose(1, 0, 2), self._matrices[:, np.newaxis])
         for change in rolled:
             np.square(change, out=change)
@@ -247,9 +250,9 @@ def _rolled(level: Complex128Array) -> Complex128Array:
 
 
 def _at_turns(waves: Complex128Array, step: int) -> Float32Array:
-    """Return matrices that hold waves (P, F, S) at every ``step``-th of 20 turns.
+    """Return matrices that hold waves at some of 20 turns.
 
-    They are (P, 2 (S + 19), F T).
+    The waves are (P, F, S), and the matrices (P, 2 (S + 19), F T), for every ``step``-th turn.
     """
     kinds, fovs, span = waves.shape
     turns = range(0, _TURNS_AT_ONCE, step)
@@ -283,7 +286,7 @@ def turn_grid_heading_deg(turn: IntArray) -> Float64Array:
 def turns_within(grid_heading_deg: float, slack_deg: float) -> BoolArray:
     """Mark the turns (B,) that lie near a grid heading.
 
-    They lie within ``slack_deg``, plus a turn's width, of it.
+    They lie within ``slack_deg`` plus a turn's width of it.
     """
     axis_deg = turn_grid_heading_deg(np.arange(PHASE_BINS))
     off_deg = np.abs(in_turn(axis_deg - grid_heading_deg))
@@ -299,8 +302,8 @@ def screen_places(
 ) -> Alike:
     """Return the best ``count`` places of a source, best first.
 
-    There are fewer if fewer are contained. ``contains`` marks which places (N,) of a block are
-    searched.
+    ``contains`` marks the places (N,) of a block that are searched. If they are fewer, all are
+    returned.
     """
 
     def scored(blocks: list[tuple[int, Places]]) -> tuple[Alike, int]:
@@ -347,7 +350,7 @@ def rescored(scores: Scores, source: PlaceSource, rows: IntArray) -> Float32Arra
 
 
 def _batches(source: PlaceSource) -> Iterator[list[tuple[int, Places]]]:
-    """Yield lists for one thread of places' blocks and first rows."""
+    """Yield lists of blocks with their first rows, each for a thread."""
     batch = []
     first = 0
     for places in source.blocks():

@@ -33,7 +33,7 @@ from skyline.terrain.viewpoints import LEAST_EYE_HEIGHT_M, Viewpoints
 _SHORTLIST_LEAST = 400
 """Least number of poses that retrieval returns."""
 SURE_MARGIN = 75.0
-"""A quick refinement is enough where its best pose leads all other answers by this margin."""
+"""A quick refinement is enough where its best pose leads all others by this margin."""
 _SEPARATION_M = 100.0
 """Least distance between candidates."""
 
@@ -56,7 +56,7 @@ _blas = cache(ThreadpoolController)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SearchedArea:
-    """Places of one elevation model, in one frame, and a scene that renders it."""
+    """Places of one elevation model and frame, with a scene of it."""
 
     shards: Sequence[Shard]
     scene: RenderedScene | None = None
@@ -101,7 +101,7 @@ class FullMatcher(SearchMethod):
 
     @classmethod
     def joined(cls, methods: Sequence["FullMatcher"]) -> "FullMatcher":
-        """Return the matcher of the areas of all; see `SearchMethod.joined`."""
+        """Return one matcher of all their areas; see `SearchMethod.joined`."""
         areas = [area for method in methods for area in method._areas]
         if any(area.scene is None for area in areas):
             areas = [replace(area, scene=None) for area in areas]
@@ -116,7 +116,7 @@ class FullMatcher(SearchMethod):
         return FullMatcher(areas, at_once)
 
     def eyes(self) -> Viewpoints:
-        """Return the eyes of the places; of very many, every n-th."""
+        """Return the eyes of all places, or a sample of very many."""
         some = self.retriever.sample(20_000)
         eyes = (some.easting_m, some.northing_m, some.eye_elevation_m)
         east_m, north_m, eye_m = (column.astype(np.float64) for column in eyes)
@@ -170,7 +170,7 @@ class FullMatcher(SearchMethod):
     ) -> Poses:
         """Return distinct poses that fit, best first; see `Refinement.run`.
 
-        Each area refines those that are among the best of all.
+        Each area refines its own poses among the best of all areas.
         """
         priors = prior.in_frames(self._frames)
         best = poses[np.argsort(poses.cost, kind="stable")[: effort.shortlist]]
@@ -205,7 +205,7 @@ class FullMatcher(SearchMethod):
     def other_projection(self, rays: Rays, best: Pose, prior: Prior) -> OtherProjection | None:
         """Return the likeliest other projection of a photo.
 
-        None for a panorama, and if its best candidate is not refined or more likely wrong.
+        Returns None for a panorama, and if the best candidate is unrefined or more likely wrong.
         """
         scene = self._areas[best.area].scene
         if scene is None or not best.refined:
@@ -222,12 +222,12 @@ class FullMatcher(SearchMethod):
     def fitted(self, rays: Rays, start: Pose, prior: Prior, about_start: Rays) -> Poses:
         """Return a pose refined by rendering.
 
-        There is none where nothing near it fits. A start farther off is fitted with
-        ``about_start``, the photo's rays about the start's field of view, while the eye keeps its
-        height above the ground, if a camera can be held so low. The pose is then fitted as in a
-        search, so its cost compares with costs of a search with the same rays and prior. The
-        confidence is learned from such fits (`confidence.FITTED`). Raises `InputError` without a
-        scene, and for a pose off the map or on a hole.
+        The result is empty where nothing near the start fits. The first fit uses ``about_start``,
+        the photo's rays about the start's field of view, and keeps the eye's height above the
+        ground, or the least at which a camera is held. The second fit is as in a search, so its
+        cost compares with costs of a search with the same rays and prior. The confidence is learned
+        from such fits (`confidence.FITTED`). Raises `InputError` without a scene, and for a pose
+        off the map or on a hole.
         """
         scene = self._needed_scene(start.area)
         prior = prior.in_frames(self._frames)[start.area]
@@ -315,8 +315,8 @@ class FullMatcher(SearchMethod):
 def _with_noted(found: Poses, near: Poses | None) -> Poses:
     """Return retrieved poses with those around the photo's noted place.
 
-    The costs of the latter are shifted: their best pose is as good as the best of all, and
-    refinement compares them.
+    The latter's costs are shifted until their best equals the best of all; refinement decides
+    between them.
     """
     if near is None or not len(near) or not len(found):
         return found

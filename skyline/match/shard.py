@@ -1,7 +1,7 @@
-"""A shard: places of one elevation model, which a search questions.
+"""A shard: places of one elevation model that a search asks about.
 
 A search ranks the places of all shards together. It asks each shard for scores, turns and fits of
-the shard's own places, and chooses among what it gets. A shard keeps nothing about a photo.
+the shard's own places, and chooses among the answers. A shard keeps nothing about a photo.
 """
 
 import math

@@ -382,7 +382,7 @@ class Solver:
         return np.asarray(np.linalg.inv(normal))
 
     def _information_at(self, state: Float64Array) -> Float64Array:
-        """Return the information (M, P, P) of the priors at states (M, P)."""
+        """Return the information (M, P, P) of the priors at states."""
         each = np.tile(self._information, (len(state), 1))
         each[:, LOG_SCALE] += self._lens_precision(state)
         return np.asarray(each[:, np.newaxis] * np.eye(self.size))

@@ -1,8 +1,8 @@
 """Shards of a search on the workers of a cluster.
 
-The process that matches ranks, chooses and refines. Each worker screens its own part of the places
-and fits poses to them; only it reads their bytes. A worker keeps nothing about a photo, so if it
-dies, another one is asked. The answers are those of one process, to the bit.
+The matcher's process ranks, chooses and refines. Each worker screens its own part of the places and
+fits poses to them; no other process reads their bytes. A worker keeps nothing about a photo, so if
+it dies, another one is asked. The answers equal those of one process to the bit.
 """
 
 import math
@@ -33,12 +33,12 @@ from skyline.terrain.heightfield import Ground, ground_of
 
 _PARTS_A_WORKER = 2
 """Parts of the places for each worker: the best places lie close together, and each worker should
-fit its share of them. More parts take more questions, of 10 ms each."""
+fit its share of them. More parts need more questions, at 10 ms each."""
 
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """Rows of an area's places, and the number of the worker that is asked about them."""
+    """Rows of an area's places, and the worker asked about them."""
 
     area: int
     first: int
@@ -47,7 +47,10 @@ class Part:
 
 
 class OpenAreas:
-    """The areas of stores, opened on a worker; ``stores`` and ``dem`` are as for `Matcher`."""
+    """The areas of stores, opened on a worker.
+
+    ``stores`` and ``dem`` are as for `Matcher`.
+    """
 
     def __init__(self, stores: Sequence[Path], dem: Dem | None = None) -> None:
         self._areas: list[tuple[PlaceMap, Ground | None]] = []
@@ -134,7 +137,7 @@ def _answer(areas: OpenAreas, item: tuple[Part, str, Any], _: Tell) -> Any:
 
 
 def opening_of(stores: Sequence[str | Path], dem: Any = None) -> Opening[OpenAreas]:
-    """Return how workers open stores, which they find under the same paths.
+    """Return how workers open stores, under the same paths as here.
 
     ``dem`` holds paths, as for `Matcher`.
     """
@@ -147,7 +150,7 @@ def opening_of(stores: Sequence[str | Path], dem: Any = None) -> Opening[OpenAre
 def distant_shards(
     runner: Runner, opening: Opening[OpenAreas], rows: Sequence[int]
 ) -> list[list[DistantShard]]:
-    """Return the shards of areas with so many places each.
+    """Return the shards of areas, which have these numbers of places.
 
     All workers get equally many places.
     """

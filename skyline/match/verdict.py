@@ -274,7 +274,7 @@ def _fov_hint(best: Pose, skyline: PhotoSkyline, rays: Rays) -> str:
 
 
 def _fov_at_bound(best: Pose, rays: Rays) -> str | None:
-    """Return the refusal of a field of view at a bound, or None."""
+    """Return the refusal of a field of view at a bound."""
     low_deg, high_deg = rays.fov_bounds_deg
     near_deg = _LIMITS.at_bound_share * (high_deg - low_deg)
     if low_deg == high_deg or low_deg + near_deg < best.fov_deg < high_deg - near_deg:

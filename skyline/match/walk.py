@@ -1,7 +1,7 @@
 r"""Joint posteriors of photos that one person took on one walk.
 
-Between two photos the person went no farther than a distance r, by any way. Nothing else is known,
-so all places within r are equally probable: with D the disc of radius r, whose sum is 1, and
+Between two photos the person went at most a distance r, by any route. Nothing else is known, so all
+places within r are equally probable: with D the disc of radius r, whose sum is 1, and
 :math:`p_k` the posterior of photo k alone,
 
 .. math::
@@ -30,8 +30,8 @@ class DiscSize:
     """How finely a walk is followed."""
 
     radius_cells: int = 32
-    """A disc of a greater radius is spread on a coarser grid: its rim is then a cell, or 3 % of the
-    radius, wide. Speeds are known less exactly."""
+    """A larger disc is spread on a coarser grid: its rim is then one cell wide, 3 % of the radius.
+    Speeds are known less exactly."""
     least_share: float = 1e-12
     """Values below this share of the greatest one are rounding errors of the transform."""
 
@@ -43,7 +43,7 @@ def check_times(times: Sequence[datetime]) -> None:
     """Raise `InputError` if only some of the times have a zone."""
     if len({one.tzinfo is None for one in times}) > 1:
         raise InputError(
-            "some photos' times have a zone and some have none, as EXIF's; give all alike"
+            "some photos' times have a zone, and some have none, as in EXIF; give all alike"
         )
 
 
@@ -81,7 +81,7 @@ def joined(posteriors: Sequence[Posterior], reach_m: Sequence[float]) -> list[Po
 def _messages(
     posteriors: Iterable[Posterior], reach_m: Iterable[float]
 ) -> Iterator[Float64Array | float]:
-    """Yield what the earlier photos tell of each, up to a factor."""
+    """Yield what earlier photos tell of each photo, up to a factor."""
     message: Float64Array | float = 1.0
     yield message
     for own, away_m in zip(posteriors, reach_m, strict=False):
@@ -92,7 +92,7 @@ def _messages(
 
 
 def _spread(cells: Float64Array, radius: float) -> Float64Array:
-    """Return values (R, C) spread evenly over discs of a radius in cells."""
+    """Return values (R, C) spread over discs; radius in cells."""
     from scipy.signal import fftconvolve  # noqa: PLC0415  (slow to load, seldom needed)
 
     rows, cols = cells.shape
@@ -108,7 +108,10 @@ def _spread(cells: Float64Array, radius: float) -> Float64Array:
 
 
 def _disc(radius: float) -> Float64Array:
-    """Return a disc (2 n + 1, 2 n + 1) of sum 1; cells on its rim count by the part inside."""
+    """Return a square grid with a disc of sum 1.
+
+    A cell on its rim counts by the part inside.
+    """
     reach = int(np.ceil(radius))
     parts = 8  # Of a cell's side.
     along = (np.arange((2 * reach + 1) * parts) + 0.5) / parts - reach - 0.5

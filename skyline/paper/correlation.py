@@ -226,7 +226,7 @@ class CorrelationMatcher(ProfileMatcher):
     """
 
     def fit(self, rays: Rays) -> Poses:
-        """Return the best pose at every location; its cost is 1 - ncc."""
+        """Return every location's best pose; its cost is 1 - ncc."""
         profiles = self.profiles
         pitches = at_pitches(rays, profiles.bins)
         # The arrays of the transforms of eight locations stay in the processor's cache.

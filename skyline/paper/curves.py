@@ -121,7 +121,7 @@ class StoredCurves:
         return len(self.y_px)
 
     def at(self, bins: IntArray) -> Float32Array:
-        """Return the ordinates (C, ...) at bins (C, ...), counted round the turn."""
+        """Return ordinates (C, ...) at bins (C, ...), counted round the turn."""
         return np.take_along_axis(self.y_px, bins % self.y_px.shape[1], axis=1)
 
 

@@ -177,7 +177,7 @@ def _starts(stored: Views, rendered: Views) -> Float64Array:
 
 
 def block_means(rows: FloatArray, blocks: int) -> Float32Array:
-    """Return the means (..., blocks) of runs of columns of rows (..., W).
+    """Return means (..., blocks) of columns' runs in rows (..., W).
 
     Runs are as equal as can be, and at most W. An unknown value, NaN, is left out of its mean; the
     mean of a run without any number is NaN.

@@ -11,7 +11,7 @@ from skyline.photo.skyline import PhotoSkyline
 
 @dataclass(frozen=True, slots=True)
 class _Bars:
-    """Limits within which rows and columns are a border or a caption bar."""
+    """Limits within which rows and columns are a border or caption."""
 
     least_content_px: int = 32
     """Smallest width and height in which a skyline is searched."""

@@ -76,7 +76,9 @@ class _Focal:
 
 @dataclass(frozen=True, slots=True)
 class CropShares:
-    """How many photos show less than their files note, in a frame of the camera's shape.
+    """Shares of photos that show less than their files note.
+
+    The photos have frames of the camera's shape.
 
     Stabilization, digital zooms, crop modes, and programs that crop and note the new size narrow
     what is shown, and nothing widens it. Of 22 photographs with one source, most of them resized,

@@ -60,7 +60,7 @@ class Photo(ShortRepr):
         return self.described(PhotoSkyline(unknown, np.zeros(width), width, height))
 
     def described(self, skyline: PhotoSkyline) -> PhotoSkyline:
-        """Return a skyline of this photo with the file's notes and its shades."""
+        """Return a skyline of this photo with its notes and shades."""
         return replace(
             skyline,
             fov_deg=self.fov_deg,
@@ -72,7 +72,7 @@ class Photo(ShortRepr):
 
 
 def shades_of(rgb: UInt8Array) -> UInt8Array:
-    """Return the grey values (h, w) of a photo (H, W, 3), see `PhotoSkyline.shades`."""
+    """Return a photo's grey values (h, w); see `PhotoSkyline.shades`."""
     height, width = rgb.shape[:2]
     scale = min(1.0, _SHADES_PX / max(height, width))
     size = max(1, round(width * scale)), max(1, round(height * scale))
@@ -157,7 +157,7 @@ def read_noted_place(path: Picture) -> NotedPlace:
 
 
 def read_noted_time(path: Picture) -> datetime | None:
-    """Return when a photo was taken, by the camera's clock, as its EXIF notes it.
+    """Return the time in a photo's EXIF, by the camera's clock.
 
     None where it notes none, as a trace. Raises as `read_photo`.
     """

@@ -106,7 +106,7 @@ class GlContext:
 
 
 class SharedContext:
-    """One context for all renderers of a process, whose threads hold it in turn."""
+    """One context for a process's renderers; threads hold it in turn."""
 
     def __init__(self, libraries: GlLibraries = GlLibraries()) -> None:
         self._libraries = libraries
@@ -117,12 +117,12 @@ class SharedContext:
 
     @contextmanager
     def held(self) -> Iterator[GlContext]:
-        """Hold the context for the block, current in this thread; make it on first use.
+        """Hold the context for the block, current in this thread.
 
-        Other threads wait until the block ends. Blocks may be nested; the outermost one also frees
-        what nothing holds any more. Raises `ContextError` if no backend gives OpenGL 4.3, or if the
-        context belongs to the process that this one was forked from, and `InputError` if
-        ``SKYLINE_GL`` names no backend.
+        The first use makes it. Other threads wait until the block ends. Blocks may be nested; the
+        outermost one also frees what nothing holds any more. Raises `ContextError` if no backend
+        gives OpenGL 4.3, or if the context belongs to the process that this one was forked from,
+        and `InputError` if ``SKYLINE_GL`` names no backend.
         """
         # This comes before the turn, which another thread of the parent may have had at the fork.
         if self._process not in (None, os.getpid()):

@@ -207,7 +207,7 @@ class PanoramaRenderer(ColumnRenderer):
         )
 
     def render_from_north(self, viewpoints: Viewpoints, steps: int) -> Horizons:
-        """Render the horizons of N eyes in steps of azimuth that begin at true north.
+        """Render N eyes' horizons in steps of azimuth from true north.
 
         The steps divide the bins.
         """

@@ -1,4 +1,4 @@
-"""Files of horizons: CSV, JSON, and those of programs for solar energy and astronomy."""
+"""Files of horizons: CSV, JSON, and formats for solar energy and astronomy."""
 
 import io
 import json
@@ -32,7 +32,7 @@ def write_horizons(horizons: LocalHorizons, path: Path) -> None:
 
     ``.csv`` and ``.json`` hold any number of places, the others one. ``.txt`` is the horizon file
     of PVGIS, ``.hor`` of PVsyst, Meteonorm and PV*SOL, ``.sam.csv`` a table of shading for SAM,
-    ``.hrz`` the horizon of N.I.N.A. and other programs of observers, and ``.zip`` a landscape of
+    ``.hrz`` the horizon of N.I.N.A. and other observers' programs, and ``.zip`` a landscape of
     Stellarium.
 
     Raises `InputError` where the ending is unknown, the file cannot be written, or a file of one
@@ -116,7 +116,10 @@ def _check_one(horizons: LocalHorizons, kind: str) -> None:
 
 
 def _pvgis(horizons: LocalHorizons) -> str:
-    """Return elevation angles in equal steps clockwise from north, one per line, none below 0."""
+    """Return lines of elevation angles, in equal steps clockwise from north.
+
+    No angle is below 0.
+    """
     return "".join(f"{value:.2f}\n" for value in np.maximum(horizons.elevation_deg[0], 0.0))
 
 
@@ -127,7 +130,9 @@ def _at_degrees(horizons: LocalHorizons, azimuth_deg: IntArray) -> Float64Array:
 
 
 def _hor(horizons: LocalHorizons) -> str:
-    """Return 360 lines of azimuth and elevation, from -180 on: 0 is south, -90 east.
+    """Return 360 lines of azimuth and elevation, from -180 on.
+
+    Azimuth 0 is south, -90 east.
 
     PV*SOL's help (Shading, "*.hor-Format") has two columns with a space between them, azimuths from
     -180 to 179 and elevations from 0 to 90; Meteonorm's files are the same, without a header. The
@@ -140,7 +145,7 @@ def _hor(horizons: LocalHorizons) -> str:
 
 
 def _sam(horizons: LocalHorizons) -> str:
-    """Return the per cent of the sun's beam that is lost, by altitude and azimuth.
+    """Return the sun's lost beam in per cent, by altitude and azimuth.
 
     SAM (Shading, "Azimuth by Altitude"): the first row has azimuths from 0 to 360, where 0 is north
     and 90 east; the first column has altitudes from 0 to 90; 100 is full shade.
@@ -153,7 +158,7 @@ def _sam(horizons: LocalHorizons) -> str:
 
 
 def _observers(horizons: LocalHorizons) -> str:
-    """Return azimuth and altitude of each azimuth, from north clockwise to 360.
+    """Return lines of azimuth and altitude, clockwise from north to 360.
 
     N.I.N.A.'s `CustomHorizon`: pairs with a space between them; lines that start with # are
     comments.

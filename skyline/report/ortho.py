@@ -1,7 +1,7 @@
 """Photos laid on the ground: orthophotos, as Cloud-Optimized GeoTIFFs.
 
-Each cell of a grid on the map is looked up in the photo, where it is seen. A cell that several
-photos show has the colours of the photo that shows it with the finest pixels.
+Each cell of a grid on the map takes its colours from the pixels that show it. If several photos
+show a cell, the photo with the finest pixels there gives the colours.
 """
 
 import math
@@ -32,16 +32,16 @@ class OrthoSettings:
     coarsest: float = 5.0
     """Pixels that are longer on the ground than so many cells are left out."""
     samples: int = 4000
-    """Pixels of a photo by which its detail is estimated."""
+    """Pixels of a photo from which its detail is estimated."""
     levels: int = 5
-    """Halvings of a photo from which cells are taken that are larger than pixels."""
+    """Times that a photo is halved for cells larger than its pixels."""
     most_off: float = 0.5
     """A cell is hidden if the photo shows ground there that is nearer by more than so many
     cells."""
     reach: float = 2.0
-    """Cells are left out that are nearer to hidden ground than so many pixels, or cells where these
-    are longer: their colours would be mixed with those beyond the edge. A pixel of a halved photo
-    is mixed of pixels up to two of its own sides away."""
+    """Cells nearer to hidden ground than so many pixels, or cells where these are longer, are left
+    out: their colours would mix with those beyond the edge. A pixel of a halved photo mixes pixels
+    up to two of its own sides away."""
 
 
 _SETTINGS = OrthoSettings()
@@ -131,7 +131,7 @@ def place_sd_m(views: Sequence[GroundView], grid: CellGrid) -> float:
 
 
 def _detail(view: GroundView) -> tuple[Float64Array, Float64Array]:
-    """Return the places (N, 2) of some pixels, and their greatest lengths on the ground."""
+    """Return places (N, 2) and greatest ground lengths (N,) of some pixels."""
     points = _exact(view, *_sample(view.camera))
     points = points[~points.is_sky]
     return np.stack([points.easting_m, points.northing_m], axis=1), _lengths_m(points)
@@ -145,7 +145,7 @@ def _sample(camera: Camera) -> tuple[Float64Array, Float64Array]:
 
 
 def _exact(view: GroundView, column_px: Float64Array, row_px: Float64Array) -> GroundPoints:
-    """Return the ground of pixels, with pose and model taken for exact.
+    """Return the ground of pixels, with pose and model taken as exact.
 
     The length of a pixel on the ground does not depend on how well they are known.
     """
@@ -162,7 +162,7 @@ def _lengths_m(points: GroundPoints) -> Float64Array:
 
 
 def lay(view: GroundView, picture: NDArray[Any], grid: CellGrid) -> Laid:
-    """Return a picture (H, W, C) of a camera on a grid."""
+    """Lay a camera's picture (H, W, C) on a grid."""
     shape = (grid.rows, grid.cols)
     east_m, north_m = grid.middles_m()
     found = view.pixels(east_m.ravel(), north_m.ravel(), _SETTINGS.most_off * grid.cell_m)
@@ -192,7 +192,7 @@ def lay(view: GroundView, picture: NDArray[Any], grid: CellGrid) -> Laid:
 
 
 def _from_hidden(is_hidden: BoolArray) -> Float32Array:
-    """Return how many cells away the nearest hidden cell is; infinite where none is hidden."""
+    """Return the distance to the nearest hidden cell, in cells, or infinity."""
     if not is_hidden.any():
         return np.full(is_hidden.shape, np.inf, dtype=np.float32)
     shown = (~is_hidden).astype(np.uint8)
@@ -224,7 +224,7 @@ def _pixel_lengths_m(column: Float64Array, row: Float64Array, cell_m: float) -> 
         return np.full(column.shape, np.nan)
     a, b = np.gradient(column, cell_m)
     c, d = np.gradient(row, cell_m)
-    # The least singular value of the pixels a metre.
+    # The least singular value of the pixels per metre.
     total, product = a**2 + b**2 + c**2 + d**2, np.abs(a * d - b * c)
     with np.errstate(invalid="ignore", divide="ignore"):
         root = np.sqrt(np.maximum(total**2 - 4.0 * product**2, 0.0))
@@ -232,7 +232,7 @@ def _pixel_lengths_m(column: Float64Array, row: Float64Array, cell_m: float) -> 
 
 
 def mosaic(laid: Sequence[Laid]) -> Laid:
-    """Return pictures on one grid as one, each cell of the finest pixels."""
+    """Join pictures on one grid; the finest pixels fill each cell."""
     best = laid[0]
     for other in laid[1:]:
         finer = other.is_seen & ~(best.pixel_m <= other.pixel_m)
@@ -254,7 +254,7 @@ def write_ortho(path: Path, laid: Laid, grid: CellGrid, terrain: HeightField) ->
 
 
 def write_pixel_lengths(path: Path, laid: Laid, grid: CellGrid, terrain: HeightField) -> None:
-    """Write the length of pixels on the ground, metres, as `write_ortho` writes colours."""
+    """Write pixels' lengths on the ground, metres, as `write_ortho` does."""
     _write(path, laid.pixel_m[np.newaxis], grid, terrain, ("gray",), nodata=np.nan)
 
 

@@ -101,7 +101,7 @@ def draw_labels(
 
 
 def _draw_body(axis: Axes, body: SeenBody) -> None:
-    """Outline the disc of the sun or the moon, with its name below."""
+    """Outline the disc of the sun or moon, with its name below."""
     style = "--" if body.is_hidden else "-"
     column_px, row_px = body.outline_px.T
     axis.plot(column_px, row_px, style, color=_DRAWN_COLOUR, linewidth=1.4, path_effects=_HALO)

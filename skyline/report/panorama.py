@@ -259,7 +259,7 @@ def _draw_row(axis: Axes, view: PanoramaView, row: _Row, colours: UInt8Array) ->
 
 
 def _colours(view: PanoramaView) -> UInt8Array:
-    """Return RGBA colours (P + 1, 4) of the landscape and the sky.
+    """Return RGBA colours (P + 1, 4) of landscape and sky.
 
     The landscape's points come first, the sky last. Light falls over the viewer's left shoulder,
     from 60 degrees aside and 40 degrees up, in every direction of view.

@@ -70,7 +70,7 @@ def _feature(photo: str, posterior: Posterior, share: float) -> Json:
 
 
 def _polygons(rings: Sequence[Float64Array], posterior: Posterior) -> list[list[list[list[float]]]]:
-    """Return an outline and its holes as polygons in degrees, cut at the antimeridian."""
+    """Return an outline with its holes as polygons, cut at the antimeridian."""
     outer, *holes = (
         [np.round(part, _DECIMALS) for part in lonlat_rings(ring, posterior.frame)]
         for ring in rings

@@ -148,7 +148,7 @@ def _turns_left(ring: Sequence[Sequence[float]]) -> bool:
 
 
 def _geopackage(path: Path, features: Sequence[Json]) -> bytes:
-    """Return a GeoPackage with a layer for each kind of shape, and one of drawn vertices."""
+    """Return a GeoPackage, with layers for kinds of shapes and drawn vertices."""
     geopandas = library("geopandas", f"writing {path}")
     layers: dict[str, list[Json]] = {}
     for number, one in enumerate(features, start=1):

@@ -204,7 +204,7 @@ class JoinedPlaces(PlaceMap):
         return len(self._order)
 
     def blocks(self, first: int = 0, stop: int | None = None) -> Iterator[Places]:
-        """Yield all places in order, as the blocks of one store; see `PlaceMap.blocks`.
+        """Yield all places in order, as one store does; see `PlaceMap.blocks`.
 
         The blocks are copies. They are as long as those of one store: a product of matrices may
         round differently in blocks of another length.

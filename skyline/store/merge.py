@@ -1,6 +1,6 @@
-"""Making a store from others, by merging, joining or repairing them.
+"""Making a store from others: merging, joining and repairing.
 
-Rows of a merged store are sorted by easting, northing, eye elevation and heading, and equal ones
+Rows of a merged store are sorted by easting, northing, eye elevation and heading, and equal rows
 are kept once. So its bytes depend only on the set of rows, not on the order of the parts or on how
 they were cut. Stores of several boxes of one DEM may overlap. Places are planned on nested
 lattices, so the denser of two plans has all places of the other. Where both plans have a place, the
@@ -125,7 +125,7 @@ def _merged_header(headers: Sequence[StoreHeader]) -> StoreHeader:
 
 
 def _joint_boxes(boxes_deg: Sequence[list[Bounds] | None]) -> Bounds | list[Bounds] | None:
-    """Return stores' boxes; None where one has all of the DEM."""
+    """Return stores' boxes; None where a store covers all of the DEM."""
     joint: set[Bounds] = set()
     for boxes in boxes_deg:
         if boxes is None:
@@ -171,7 +171,7 @@ def open_joined(paths: Sequence[str | os.PathLike[str]]) -> Iterator[Store]:
     """Open a store, or several as the store that `merge_stores` writes.
 
     Stores of renderings are merged into a temporary file, which disappears once its reader is
-    closed: their rows are packed, and to read them in another order would unpack each chunk many
+    closed: their rows are packed, and reading them in another order would unpack each chunk many
     times. Raises as `open_store` and `merge_stores`.
     """
     with open_store(paths[0]) as first:
@@ -191,7 +191,7 @@ def open_joined(paths: Sequence[str | os.PathLike[str]]) -> Iterator[Store]:
 
 
 def by_model(paths: Sequence[str | Path]) -> list[list[str | Path]]:
-    """Return stores' paths in groups of one elevation model and frame each, in order."""
+    """Return stores' paths, grouped by elevation model and frame, in order."""
     groups: dict[tuple[str, str], list[str | Path]] = {}
     for path in paths:
         with open_store(path) as store:

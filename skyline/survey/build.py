@@ -1,6 +1,6 @@
 """Building a store, in parts that are merged at the end.
 
-A plan cuts the work into jobs, the same ones whenever it runs. Every few seconds the rendered rows
+A plan always cuts the work into the same jobs. Every few seconds the rendered rows
 are written as a part (`skyline.survey.part_files`). So a build that is killed loses the last few
 seconds, and the same command continues. Parts lie in the folder ``STORE.parts``, where each build
 (one box, DEM and settings) has a subfolder of its own. Merging sorts the rows: the number of
@@ -54,7 +54,7 @@ class BuildResult:
     rendered : int
         Number of them that were rendered now; the others already existed.
     seconds : float
-        Time that rendering, writing and merging took; a renderer is started before.
+        Time for rendering, writing and merging, without the renderer's start.
     """
 
     rows: int
@@ -87,8 +87,8 @@ def build_places(
     bounds_deg : tuple, optional
         W, S, E, N in degrees; by default all of the terrain.
     progress : callable, optional
-        Called with the number of places rendered so far, also by earlier calls, and about the
-        number of all places.
+        Called with the number of places rendered so far, with those of earlier calls, and the
+        approximate number of all places.
     places : int, optional
         About how many places to plan if there is no spacing. By default 100,000; fewer if
         these would lose under 5 % of the views, which are 60 degrees wide, and more if they would

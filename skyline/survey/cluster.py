@@ -266,7 +266,7 @@ def _do_on_bench(
 
 
 def _is_pending(future: Any) -> bool:
-    """Wait for a job for a second, and return whether it is still pending."""
+    """Return whether a job is still pending after another second."""
     with suppress(TimeoutError):
         _distributed().wait(future, timeout=1)
     return not future.done()

@@ -18,7 +18,7 @@ from skyline.view import Viewer
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CrossTask:
-    """Photos with their poses, and the pixel of the same thing in each."""
+    """Photos with their poses, and one thing's pixel in each."""
 
     photos: Sequence[Path]
     poses: Sequence[Path]

@@ -53,7 +53,7 @@ class DrawTask:
 
 
 def draw_vectors(task: DrawTask, listener: Listener) -> list[str]:
-    """Write a photo's vectors on the map, or the map's in the photo.
+    """Write a photo's vectors on the map, or the map's in it.
 
     Returns lines about it. Raises `InputError` for an output of another kind, for vectors or a pose
     that do not belong to the photo, for vertices in the sky, and if nothing of the map is in the
@@ -170,7 +170,7 @@ def _in_words(one: GroundShape) -> str:
 
 
 def _with_error(measure: Measure) -> str:
-    """Return a figure and its standard error, rounded to two digits of the error."""
+    """Return a figure and its standard error, to the error's two digits."""
     return f"{_rounded(measure.value, measure.sd)} +- {_rounded(measure.sd)}"
 
 

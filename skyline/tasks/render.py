@@ -187,7 +187,7 @@ def advise_to_continue(store: Path, listener: Listener) -> None:
 
 
 def note_added_area(store: Path, plan: Plan, terrain: HeightField, listener: Listener) -> None:
-    """Say before a build which area it adds to a store of another area.
+    """Say which area a build adds to a store of another area.
 
     Raises `StoreMismatchError` for a store of other settings.
     """

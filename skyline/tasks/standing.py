@@ -69,7 +69,7 @@ def shown_pose(noted: "NotedPose", viewer: "Viewer", listener: Listener) -> "Pos
 
 
 def assumed_lines(*assumed: str) -> list[str]:
-    """Return a line on errors that `Pose.assumed` names; none where all are known."""
+    """Return a line on errors that `Pose.assumed` names, if any."""
     words = "; ".join(dict.fromkeys(filter(None, assumed)))
     return [f"errors assumed, since no covariance is given: {words}"] if words else []
 

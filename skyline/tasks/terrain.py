@@ -1,4 +1,4 @@
-"""The elevation model of a command: reading it, its curvature, and outputs beside it."""
+"""A command's elevation model: reading, curvature, and outputs beside it."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -23,7 +23,7 @@ def read_terrain(listener: Listener, dem: Sequence[str], crs: str | None) -> Hei
 
 
 def curvature_of(terrain: HeightField, refraction_k: float | None) -> Curvature:
-    """Return the curvature of a terrain's world, with another refraction if one is given."""
+    """Return the curvature of a terrain's world, with any refraction given."""
     usual = terrain.frame.curvature
     return usual if refraction_k is None else replace(usual, refraction_k=refraction_k)
 

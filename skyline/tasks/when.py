@@ -1,4 +1,4 @@
-"""Telling when a photo was taken, or its heading, by the sun or the moon."""
+"""Telling a photo's time or heading by the sun or the moon."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -100,7 +100,7 @@ def read_dem(dem: Dem, options: DemOptions | None = None) -> HeightField:
 
 
 def field_in_memory(dem: Any, options: DemOptions | None = None) -> HeightField | None:
-    """Return the field of an array, an open dataset or a field; None for paths.
+    """Return an array's, an open dataset's or a field's field, or None.
 
     Raises as `read_dem`.
     """

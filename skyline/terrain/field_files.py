@@ -273,7 +273,7 @@ def _damaged(path: Path) -> InputError:
 
 
 def _removed(path: Path) -> InputError:
-    """Remove a file whose heights are damaged, and return the error for it."""
+    """Remove a file with damaged heights, and return the error for it."""
     try:
         path.unlink(missing_ok=True)
     except OSError:

@@ -129,7 +129,7 @@ def _stands_alone(name: str) -> bool:
 
 
 def _by_stem(folder: Path) -> dict[str, list[Path]]:
-    """Return the files of a folder by the beginning of their names, without stores."""
+    """Return a folder's files by their names' beginnings, without stores."""
     found: dict[str, list[Path]] = {}
     for path in sorted(folder.iterdir()):
         if path.suffix != ".h5":
@@ -138,7 +138,10 @@ def _by_stem(folder: Path) -> dict[str, list[Path]]:
 
 
 def _stem(path: Path) -> str:
-    """Return the beginning of a name in lower case; GDAL finds ``DEM.PRJ`` for ``dem.tif``."""
+    """Return the beginning of a name in lower case.
+
+    GDAL finds ``DEM.PRJ`` for ``dem.tif``.
+    """
     return path.name.split(".")[0].lower()
 
 

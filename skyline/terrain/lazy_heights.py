@@ -57,7 +57,7 @@ def checksum(samples: Float32Array) -> int:
 
 
 def bounds_of(heights_m: Float32Array) -> Float32Array:
-    """Return the lowest and the highest height (2, R, C) of each block.
+    """Return the lowest and highest heights (2, R, C) of each block.
 
     Infinite where a block has no height.
     """
@@ -105,7 +105,7 @@ class Blocks:
 
     @classmethod
     def in_file(cls, file: BinaryIO, shape: Shape, offset: int, sums_offset: int) -> "Blocks":
-        """Return the grid whose samples and checksums are at offsets of a file.
+        """Return the grid with samples and checksums at offsets of a file.
 
         A block without a checksum has yet to be made. Any other is known once its checksum has been
         compared, so a file whose writing was interrupted gives no wrong height.
@@ -209,7 +209,7 @@ class LazyHeights:
         self._keep_digest = keep_digest
 
     def note_digest(self, digest: str) -> None:
-        """Note the digest of the field, for later runs too if the heights are in a file."""
+        """Note the field's digest, in its file too if it has one."""
         self.digest = digest
         self._keep_digest(digest)
 

@@ -30,7 +30,7 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """Repaired samples on their files' grid, and their warp to a metric one."""
+    """Repaired samples on their files' grid, and a metric grid's warp."""
 
     heights_m: Float32Array
     """(rows, cols) float32; NaN marks a hole."""

@@ -121,7 +121,7 @@ class Warp:
         return part[top:, left:][: rows.stop - rows.start, : cols.stop - cols.start]
 
     def bounds_m(self, heights_m: Float32Array) -> Float32Array:
-        """Return bounds (2, R, C) below and above the heights of each block.
+        """Return bounds (2, R, C) around the heights of each block.
 
         Resampling goes neither below nor above the samples around a position. Where a block has no
         sample at all, the bounds are infinite, and the lowest is above the highest.

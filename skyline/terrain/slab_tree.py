@@ -127,7 +127,7 @@ def _fill_level(source: Codes, step: int, slab: int, slopes: Float64Array, level
 
 
 def _swept(slopes: tuple[float, float], step: int, slab: int) -> list[tuple[int, int]]:
-    """Return the columns that rays of a bin sweep in each slab of a band.
+    """Return the columns swept by a bin's rays in a band's slabs.
 
     The rays start within one block. The columns are the first and the one past the last, from the
     block's beginning. They are single samples (step 0) or spans of ``step`` cells.
@@ -183,7 +183,7 @@ def _mark_level(
     slopes: Float64Array,
     level: UInt8Array,
 ) -> None:
-    """Set the bits of slabs in which rays meet a mark, given by its slab and column."""
+    """Set the bits of slabs where rays meet a mark."""
     ratio = slab // max(step, 1)
     blocks = level.shape[2]
     band, child = np.divmod(slab_of, SLABS)

@@ -101,9 +101,7 @@ def test_a_page_that_was_closed_asks_for_the_photo_and_has_its_strokes(
         page.until(page.messages)
     with serving(store, port=port_of(server)) as server:
         page.reload()
-        assert page.find("#kept").text.startswith(
-            "Strokes that are not saved are kept for photo.jpg"
-        )
+        assert page.find("#kept").text.startswith("Unsaved strokes are kept for photo.jpg")
         page.open(other)
         page.until(lambda: follows(page, 50, 80))
         assert page.find("#kept").get_property("textContent") == ""

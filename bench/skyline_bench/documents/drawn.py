@@ -1,4 +1,4 @@
-"""Drawings of the records in any folder: a page with a table of each, and diagrams of some."""
+"""Drawings of a folder's records: a page of tables, and some diagrams."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -34,7 +34,7 @@ _FOUND = {"renderings", "planner", "group", "matcher", "queries", "search", *_SH
 
 
 def draw_folder(folder: Path, out: Path) -> list[Path]:
-    """Draw the records in a folder; return the files written, the page last.
+    """Draw a folder's records; return the files written, the page last.
 
     Other JSON files are ignored. Raises `InputError` for a folder without records, and if a file
     cannot be written.

@@ -61,7 +61,7 @@ class Occluder:
 
 @dataclass(frozen=True, slots=True)
 class QueryConfig:
-    """How queries are drawn. A pair is a range to draw from evenly."""
+    """How queries are drawn. Pairs are ranges to draw from evenly."""
 
     fov_deg: tuple[float, float] = (60.0, 60.0)  # True horizontal field of view
     mappings: tuple[str, ...] = (PIN_HOLE,)  # From directions to the image; one is drawn

@@ -78,7 +78,7 @@ class Search:
     seed: int = 0  # Seed of the queries
 
     def shown(self, rows: Sequence[Row]) -> list[Row]:
-        """Return the rows that are printed: those of groups only where `columns` name the group."""
+        """Return the printed rows, with groups only where `columns` name them."""
         by_group = "group" in self.columns
         return [row for row in rows if by_group or row["group"] == trials.ALL]
 
@@ -90,8 +90,8 @@ class Search:
     def check(self, terrain: HeightField) -> None:
         """Raise `InputError` unless all stores, matchers, kinds and areas take part.
 
-        Every store must be there or can be built, and is searched by a matcher; every matcher
-        searches a store, and each area is a part of the whole.
+        Every store must exist or be buildable, and have a matcher that searches it. Every matcher
+        must have a store, and each area must be a part of the whole.
         """
         for name in self.kinds:
             entry_named("kind of queries", name, kinds.KINDS)
@@ -148,11 +148,11 @@ class Search:
     ) -> tuple[list[Row], list[BuiltStore]]:
         """Search every store with every matcher for the same queries.
 
-        A matcher searches the stores that it can read. Returned are a row for each store, matcher,
-        kind of queries, area searched and group of queries, and the stores, which are kept in
-        ``folder``; a store that is there is not built again. The best candidate's error of
-        position counts, whether or not it is an answer. A query without any candidate counts as
-        wrong by half of the area's diagonal. Heading errors are of right answers only.
+        A matcher searches the stores that it can read. Returns a row for each store, matcher, kind
+        of queries, area searched and group of queries, and the stores. Stores are kept in
+        ``folder``, and not built again. The best candidate's error of position counts, whether or
+        not it is an answer. A query without any candidate counts as wrong by half of the area's
+        diagonal. Only right candidates have heading errors.
         """
         bounds_deg = self.area_deg()
         stores = [spec.build(terrain, folder, bounds_deg, progress) for spec in self.stores]
@@ -204,7 +204,7 @@ class Search:
 def _square(
     truth: Truth, km2: float, area_m: Rectangle, terrain: HeightField, seed: int
 ) -> Narrowing:
-    """Return a square within an area that holds a query's place anywhere."""
+    """Return a random square of an area around a query's place."""
     place = np.array([truth.easting_m, truth.northing_m])
     entropy = [seed, round(1e6 * km2), *np.abs(place).astype(int).tolist()]
     low, high = np.array(area_m).reshape(2, 2)
@@ -224,7 +224,10 @@ def _planned(*numbers: int | None) -> list[StoreSpec]:
 
 
 def _few(stores: Sequence[StoreSpec]) -> list[StoreSpec]:
-    """Return the first store of each planner and kind, and a plan between two uniform grids."""
+    """Return the first store of each planner and kind.
+
+    Two grids replace a uniform grid that is compared with a plan.
+    """
     first = {(spec.planner, spec.holds): spec for spec in reversed(stores)}
     planned = {holds for planner, holds in first if planner != UNIFORM}
     few = []
@@ -283,7 +286,7 @@ SEARCHES: Mapping[str, Search] = {
         """Placing: how many queries uniform grids and planned places find.
 
         The claimed loss is the share of the views that the planner expects to be lost over the
-        area; a query is lost that is not found within 1 km.""",
+        area. A query that is not found within 1 km is lost.""",
         "an hour",
         f"""store places bytes build_cpu_s=cpu_s queries group=skyline {_FOUND} claimed_loss
         lost""",
@@ -294,9 +297,9 @@ SEARCHES: Mapping[str, Search] = {
     "same-place": Search(
         """Photos of one place: how often one of them finds it, and how often all together.
 
-        Three photos are taken at each place. Once more, the last photo of each place is
-        exchanged for a stranger: one of another place. A photo is named that does not belong to
-        the others, as the matcher finds; with a stranger, the column is of the stranger.""",
+        Three photos are taken at each place. In a second round, a stranger, a photo of another
+        place, replaces the last one. The column named is the share of places where the matcher
+        names a photo as not belonging to the others, or the stranger where there is one.""",
         "20 minutes",
         f"store queries group {_FOUND} radius_holds named",
         kinds=kinds.SAME_PLACE,
@@ -306,8 +309,8 @@ SEARCHES: Mapping[str, Search] = {
     "probability": Search(
         """Posteriors: how often the true place lies in the areas of 50, 80 and 95 %.
 
-        The gain is how much more probable the true cell is than if all cells were alike, as the
-        mean of its binary logarithm. Queries without any skyline have no posterior.""",
+        The gain is the mean binary logarithm of how much more probable the true cell is than if
+        all cells were alike. Queries without any skyline have no posterior.""",
         "20 minutes",
         "store queries km2 n posteriors in_50 in_80 in_95 gain_bits within_200m answered",
         kinds=("plain", kinds.OTHER_DEM, "occluded", "bent"),

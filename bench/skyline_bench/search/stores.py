@@ -184,7 +184,7 @@ def middle_deg(
     size_m: tuple[float, float] = (5_000.0, 10_000.0),
     bounds_deg: Bounds | None = None,
 ) -> Bounds:
-    """Return the middle part of bounds, of a size at most.
+    """Return the middle part of bounds, up to a size.
 
     By default the bounds are the DEM's.
     """

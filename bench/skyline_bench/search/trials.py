@@ -110,8 +110,8 @@ def _with_posterior(trial: Trial, posterior: Posterior, truth: Truth) -> Trial:
 def _truth_ahead(matcher: Matcher, query: SyntheticQuery, result: MatchResult) -> float | None:
     """Return how much less the true pose costs than the best candidate.
 
-    The true pose is refined. None where either does not exist: without refinement, or where nothing
-    fits.
+    The true pose is refined. Returns None where either pose is missing: without refinement, or
+    where nothing fits.
     """
     truth = query.truth
     fov_deg = query.skyline.fov_deg or query.truth.fov_deg
@@ -172,9 +172,9 @@ CLASSES = {"< 150 m": (0.0, 150.0), "150-400 m": (150.0, 400.0), "> 400 m": (400
 _AHEAD = 3.0
 """Difference of scores from which a pose fits clearly better."""
 _AS_LARGE = math.log(1.1)
-"""Stores whose numbers of places differ by less, as logarithms, are compared as equally large."""
+"""Stores are compared as equally large if the logarithms of their places differ by less."""
 _LEAST_SHARE = 1e-9
-"""Cells that are less probable than this, if all cells were 1, count as this."""
+"""Cells that are less probable than this share of the mean cell count as this."""
 _LEAST_M = 1e-3
 """Smaller errors count as this, so that they have a logarithm."""
 
@@ -250,7 +250,7 @@ def summarize(trials: Sequence[Trial], miss_m: float, seed: int) -> Row:
 
 
 def _held(trials: Sequence[Trial]) -> Row:
-    """Return how often the true place lies in the regions of posteriors, where there are any."""
+    """Return how often posteriors' regions hold the true place, if any."""
     share = np.array([one.share for one in trials if one.share is not None])
     gain = [one.gain_bits for one in trials if one.gain_bits is not None]
     if not len(share):
@@ -270,12 +270,13 @@ def by_planner(rows: Iterable[Row]) -> tuple[list[Row], list[Row]]:
 
 
 def against_uniform(rows: Sequence[Row]) -> list[Row]:
-    """Hold each adaptive store to uniform ones that are searched alike.
+    """Compare each adaptive store with uniform stores searched alike.
 
-    The same matcher searches them for the same queries, as widely. ``uniform_mean_m`` is the mean
-    error that a uniform store of as many renderings would have, and ``gain`` is that error over the
-    adaptive store's error. ``uniform_renderings`` is how many renderings a uniform store would need
-    to be as accurate, and ``share`` is the adaptive store's number of renderings over that number.
+    The same matcher searches them for the same queries, in areas of the same size.
+    ``uniform_mean_m`` is the mean error that a uniform store of as many renderings would have, and
+    ``gain`` is that error over the adaptive store's error. ``uniform_renderings`` is how many
+    renderings a uniform store would need to be as accurate, and ``share`` is the adaptive store's
+    number of renderings over that number.
     They are interpolated between the uniform stores on logarithmic axes, and None outside their
     range.
     """
@@ -288,7 +289,7 @@ def against_uniform(rows: Sequence[Row]) -> list[Row]:
         mean_m = [max(float(row["mean_m"]), _LEAST_M) for row in grids]
         own_m = max(float(store["mean_m"]), _LEAST_M)
         uniform_m = interpolated(renderings, mean_m, float(store["renderings"]))
-        # Errors of finer grids are less; where noise has it otherwise, the least so far counts.
+        # Finer grids have smaller errors; where noise says otherwise, the least so far counts.
         falling = np.minimum.accumulate(mean_m).tolist() if mean_m else []
         as_good = interpolated(falling[::-1], renderings[::-1], own_m)
         names = ("store", *same, "km2", "n", "renderings", "mean_m")
@@ -305,7 +306,7 @@ def against_uniform(rows: Sequence[Row]) -> list[Row]:
 
 
 def as_large(plan: Row, rows: Iterable[Row]) -> Row | None:
-    """Return the uniform store with the number of places of a planned one.
+    """Return the uniform store with a planned one's number of places.
 
     The numbers differ by a tenth at most; None where there is no such store.
     """
@@ -316,9 +317,9 @@ def as_large(plan: Row, rows: Iterable[Row]) -> Row | None:
 
 
 def gain_points(plan: Row, grid: Row) -> tuple[float, float]:
-    """Return by how many points a plan finds more, and the half width of 95 %.
+    """Return a plan's gain in points, and its 95 % half width.
 
-    Both searched the same queries, so only those count that one of them finds alone.
+    Both searched the same queries, so only queries that one of them finds alone count.
     """
     gains = np.array([int(one) for one in plan["each_within_200m"]])
     gains -= np.array([int(one) for one in grid["each_within_200m"]])

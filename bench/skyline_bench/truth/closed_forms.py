@@ -258,7 +258,7 @@ def _slack_tan(spacing_m: float) -> float:
 
 
 def _earth_centred_m(lon_deg: ArrayLike, lat_deg: ArrayLike) -> Float64Array:
-    """Return (..., 3) metres from the Earth's centre of places on the ellipsoid."""
+    """Return ellipsoid places (..., 3), metres from the Earth's centre."""
     lon, lat = np.broadcast_arrays(lon_deg, lat_deg)
     return np.stack(_TO_EARTH_CENTRED.transform(lon, lat, np.zeros(lon.shape)), axis=-1)
 

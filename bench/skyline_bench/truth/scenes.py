@@ -299,7 +299,7 @@ def _constant(eye_height_m: float) -> SkylineScene:
 
 
 def _constant_skyline(scene: SkylineScene) -> forms.ClosedForm:
-    """Return v = -h / z with z where each column leaves the map."""
+    """Return v = -h/z at z where columns leave the map."""
     west, south, east, north = scene.field.bounds_m
     eyes = scene.viewpoints
     to_north = north - eyes.northing_m

@@ -11,7 +11,7 @@ const KEYS = { m: "move", s: "sky", g: "ground", l: "line", e: "erase", t: "turn
 const undone = [];
 const unsent = new Set(); // photos with strokes that the server has not seen
 let solving = false;
-let dragged = null; // what the drag does that is under way
+let dragged = null; // what the drag under way does
 
 const tool = () => document.querySelector("input[name=tool]:checked").value;
 const radius = () => (tool() === "line" ? 0 : Number($("brush").value) / view.scale / 2);
@@ -101,7 +101,7 @@ const isSame = (some, others) => some.length === others.length && some.every((on
 
 export const waits = (photo) => unsent.has(photo);
 
-// Takes up the work on a photo that the server does not know.
+// Resumes the work on a photo that the server does not know.
 export async function resume(photo, { strokes, trace }) {
   Object.assign(photo, { strokes, trace });
   if (trace) await server.loadTrace(photo, trace);

@@ -104,7 +104,7 @@ function list(candidates) {
 // A verdict holds for a candidate that the search has judged, and for a fit that led to it.
 function verdict(result) {
   if (!result) return ["The skyline, or what you know, has changed since the last search. Find the place again."];
-  if (result.candidates.length && state.chosen === null) return ["The camera has left the candidates of the search. Choose one to return to it."];
+  if (result.candidates.length && state.chosen === null) return ["The camera has left the candidates. Choose one to return to it."];
   if (state.chosen > 0) return ofOther(result.candidates[state.chosen].pose);
   const notes = result.notes.map((one) => element("p", { class: "claim" }, one));
   return [...(result.answered ? found(result) : missed(result)), ...notes];

@@ -18,9 +18,9 @@ const POSITION = [
   { name: "lat", label: "Latitude, degrees", min: -90, max: 90 },
   { name: "lon", label: "Longitude, degrees", min: -180, max: 180 },
 ];
-let flying = null; // the request for a skyline that the server has
+let flying = null; // the request for a skyline that the server is answering
 let next = null; // the request that goes after it
-let count = 0; // of requests
+let count = 0; // number of requests
 
 export function moveTo(part, stillMoving = false) {
   if (!state.pose) return;
@@ -45,8 +45,8 @@ function setPose(pose, origin, { chosen = null, fit = null } = {}) {
   changed(false);
 }
 
-// The pose of a candidate, with the height of the eye, which stays where the camera is moved, in
-// place of its elevation.
+// The pose of a candidate, with the eye's height in place of its elevation: the height stays when
+// the camera is moved.
 function placed({ pose, eye_height_m }) {
   const { lon, lat, heading_deg, pitch_deg, roll_deg, fov_deg, distortion, wander } = pose;
   return { lon, lat, heading_deg, pitch_deg, roll_deg, fov_deg, distortion, wander,

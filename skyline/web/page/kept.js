@@ -1,5 +1,5 @@
-// Strokes, kept in the browser until they are saved: by the content of their photo, so that they are
-// taken up again whatever becomes of the server, of the page and of the photo's name.
+// Strokes, kept in the browser until they are saved, by the content of their photo. So they are found
+// again whatever happens to the server, the page and the photo's name.
 import { alertUser, emit, settle, state } from "./state.js";
 
 const PREFIX = "skyline strokes ";
@@ -11,7 +11,7 @@ export function workOn(photo) {
   return text && JSON.parse(text);
 }
 
-// Names of the photos with strokes that are none of these.
+// Names of other photos with strokes.
 export function keptFor(photos) {
   const known = new Set(photos.map(key));
   const others = Object.keys(localStorage).filter((one) => one.startsWith(PREFIX) && !known.has(one));

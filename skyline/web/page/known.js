@@ -7,7 +7,7 @@ const MOST_KM = 100;
 const NOTHING = { heading_deg: null, near: null, elevation_m: null, eye_height_m: null };
 // Numbers that a slider's steps would round; each holds until its slider is moved.
 const exact = {};
-// Whether the user gave the circle. A circle from a photo's own position is of that photo alone.
+// Whether the user gave the circle. A circle from a photo's own position belongs to that photo.
 let isGiven = false;
 
 const value = (id) => exact[id] ?? $(id).valueAsNumber;
@@ -142,7 +142,7 @@ function fillNumbers(photo, asked, fov_deg) {
   if (asked.eye_height_m !== null) set("eye", asked.eye_height_m);
 }
 
-// The skyline is another one in another projection, and the file's field of view may not hold.
+// Another projection makes another skyline, and the file's field of view may not hold.
 async function project() {
   const { photo } = state;
   settle("projection");

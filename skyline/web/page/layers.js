@@ -127,7 +127,7 @@ export function drawGaps(ctx, view, sight, rows) {
   });
 }
 
-// The note of peaks without a name stands above a badge of a height in the lower left corner.
+// The note on unnamed peaks stands above a badge with a height in the lower left corner.
 export function drawSummits(ctx, view, summits, badge) {
   ctx.font = "12px system-ui, sans-serif";
   ctx.textAlign = "center";

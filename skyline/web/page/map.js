@@ -9,21 +9,21 @@ const REACH_M = 2000; // how far a view is drawn
 const HANDLE_PX = [74, 102, 130]; // distances of the handle from the camera, the first that is free
 const APART_PX = 26;
 const MOST_NAMES = 60;
-const STEPS_DEG = [0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 30, 90]; // between lines on an empty map
+const STEPS_DEG = [0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 30, 90]; // steps between lines on an empty map
 const NAME_PX = [90, 50]; // room for the name of such a line, across and down
 const EARTH_M = 6371008.8;
 let map;
-let relief = null; // of the ground
+let relief = null; // the ground's relief
 let named; // the names
-let names = []; // of the gazetteer, with longitude and latitude
-let frame; // of the ground; without one, lines of latitude and longitude
+let names = []; // the gazetteer's names, with longitude and latitude
+let frame; // the ground's frame; without one, lines of latitude and longitude
 let camera;
-let handle; // of the direction
+let handle; // turns the camera
 let cone; // the view of the camera
 let noted; // the place noted in the photo
 let spots; // the candidates
 let circle; // limits the search
-let centre; // of the circle
+let centre; // the circle's middle
 let middleLon = 0;
 
 // The map runs half a turn either way from the store, so that it may cross the antimeridian.
@@ -192,7 +192,7 @@ function makeCamera() {
   camera = L.marker([0, 0], { icon: icon("camera", 44), draggable: true, zIndexOffset: 3000, autoPan: true,
     title: "The camera: drag it, or move it with the arrow keys", alt: "The camera" });
   handle = L.marker([0, 0], { icon: icon("turn", 20), draggable: true, zIndexOffset: 3000,
-    title: "Where it looks: drag, or left and right arrow keys", alt: "Where the camera looks" });
+    title: "Where it looks: drag it, or use the left and right arrow keys", alt: "Where the camera looks" });
   cone = L.polygon([], { color: "#35d0ff", weight: 2, fillOpacity: 0.15, interactive: false });
   camera.on("drag", () => moveTo(offMap(camera.getLatLng()), true));
   handle.on("drag", turning);
@@ -210,7 +210,7 @@ function drawCircle(km) {
     km === null ? one.remove() : one.addTo(map);
   }
   showLegend();
-  // Without a ground, the circle is all that there is to see.
+  // Without a ground, the circle is all that the map shows.
   if (km !== null && !state.ground) map.fitBounds(circle.getBounds(), { animate: false });
 }
 
@@ -219,7 +219,7 @@ export const middle = () => offMap(map.getCenter());
 function makeCircle() {
   const place = map.getCenter();
   circle = L.circle(place, { radius: 3000, color: "#ff9f6b", weight: 2, dashArray: "6 4", fillOpacity: 0.05, interactive: false });
-  centre = L.marker(place, { icon: icon("centre", 18), draggable: true, title: "Middle of the circle: drag it, or arrow keys", alt: "Middle of the circle" });
+  centre = L.marker(place, { icon: icon("centre", 18), draggable: true, title: "Middle of the circle: drag it, or use the arrow keys", alt: "Middle of the circle" });
   const moved = () => {
     circle.setLatLng(centre.getLatLng());
     state.circle = offMap(centre.getLatLng());
@@ -283,7 +283,7 @@ function showGround(ground) {
   if (!map.hasLayer(circle)) state.circle = middle();
 }
 
-// Draws lines of latitude and longitude, named, as many as have room for their names.
+// Draws and names lines of latitude and longitude, as many as have room for their names.
 function showDegrees() {
   frame.clearLayers();
   const size = map.getSize();

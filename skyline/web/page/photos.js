@@ -22,7 +22,7 @@ function list() {
   panes.classList.toggle("portrait", height_px > width_px);
   if (width_px) panes.style.setProperty("--shape", width_px / height_px);
   const kept = keptFor(state.photos);
-  $("kept").textContent = kept.length ? `Strokes that are not saved are kept for ${kept.join(", ")}: add the photo again to go on.` : "";
+  $("kept").textContent = kept.length ? `Unsaved strokes are kept for ${kept.join(", ")}: add the photo again to go on.` : "";
   for (const id of ["tools", "legend"]) $(id).hidden = !state.photo;
   $("find-all").hidden = state.photos.filter((photo) => photo.state === "ready").length < 2;
 }
@@ -54,7 +54,7 @@ async function follow() {
   if (!state.photo && state.photos.length) await choose(state.photos[0]);
 }
 
-// Whether a photo of the command, not opened here yet, is this one.
+// Whether this is a photo that the command names and this page has not opened yet.
 const isGivenAs = (photo, record) => !photo.id && photo.given !== undefined && photo.name === record.name;
 
 const isOther = (photo, record) => ["strokes", "trace", "result", "projection"].some(
@@ -91,9 +91,9 @@ export async function choose(photo) {
   emit("photo", photo);
 }
 
-// Opens a photo, takes up the work on it, and returns whether it is open. The work is that of this
-// page, from before a restart of the server, or what the browser has kept. Without an answer of the
-// server the photo stays as it was, and the error is thrown.
+// Opens a photo, resumes the work on it, and returns whether it is open. The work is from this page,
+// before a restart of the server, or was kept by the browser. Without an answer from the server the
+// photo stays as it was, and the error is thrown.
 async function open(photo, opened, failed = "unusable") {
   const { state: before, content, strokes, trace, projection } = photo;
   photo.state = "opening";

@@ -1,4 +1,4 @@
-// Requests to the server. An error is thrown with the one line of the server's answer.
+// Requests to the server. Errors have the one line of the server's answer.
 import { emit, report, settle } from "./state.js";
 
 const MAX_UPLOAD_BYTES = 100e6;

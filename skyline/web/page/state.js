@@ -39,7 +39,7 @@ const events = new EventTarget();
 export const on = (name, handler) => events.addEventListener(name, (event) => handler(event.detail));
 export const emit = (name, detail) => events.dispatchEvent(new CustomEvent(name, { detail }));
 
-// The way, right and down, of each arrow key.
+// The step, right and down, of each arrow key.
 export const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 
 export const $ = (id) => document.getElementById(id);
@@ -83,7 +83,7 @@ export function alertUser(text, kind) {
   $("alerts").append(element("div", { class: "alert", "data-kind": kind }, element("span", {}, text), close));
 }
 
-// Shows why something failed; an error may itself be of a kind.
+// Shows why something failed; an error may name its own kind.
 export const report = (error, kind) => alertUser(error.message, error.kind ?? kind);
 
 // Takes away messages that are no longer true.
