@@ -165,7 +165,7 @@ class Profiles:
 
 
 def bin_width_px(bins: int) -> float:
-    """Return the width in px of one of so many bins of a turn."""
+    """Return the width in px of a bin of a turn."""
     return 2.0 * np.pi / bins / TANGENT_PER_PX
 
 

@@ -1,4 +1,4 @@
-"""KML 2.2 (OGC 07-147r2): documents and shapes, and the XML of such files."""
+"""KML 2.2 (OGC 07-147r2): documents, shapes and their XML."""
 
 from collections.abc import Iterable, Sequence
 from xml.etree import ElementTree as Xml
@@ -10,7 +10,7 @@ Coordinates = Iterable[Sequence[float]]
 
 
 def kml_document() -> tuple[Xml.Element, Xml.Element]:
-    """Return the root of a new KML file, and the document in it."""
+    """Return a new KML file's root and the document in it."""
     root = Xml.Element("kml", xmlns="http://www.opengis.net/kml/2.2")
     return root, add(root, "Document")
 

@@ -38,7 +38,7 @@ def is_figure(path: Path) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class PlacedLabel:
-    """A label in a band of rows above a picture, in the unit of the lengths given."""
+    """A label above a picture, in the unit of the lengths given."""
 
     index: int
     """Index of the label in the order given."""

@@ -65,7 +65,7 @@ def remove_models() -> None:
 
 
 def _kept() -> list[tuple[int, Path]]:
-    """Return kept models' sizes on the disk and files, least recently used first."""
+    """Return kept models' sizes and files, least recently used first."""
     known = []
     for path in models_folder().glob("*"):
         with suppress(FileNotFoundError):
