@@ -48,8 +48,8 @@ _COLUMNS = """photo kind km2 trusted right_columns=right error_m rank
 _SUMMARY = """kind km2 photographs=n within_200m answered answered_200m answered_right
     right_columns mostly_wrong no_skyline"""
 
-RIGHT_DEG = 10.0
-"""Largest error of the heading of a pose that is right."""
+_SAME_WAY_DEG = 10.0
+"""A pose whose heading is off by more looks another way than the photograph."""
 
 
 @dataclass(slots=True)
@@ -301,7 +301,7 @@ def _stages(
     except InputError:
         there = None
     stage = "ranking"
-    if there is None or abs(_turn_deg(one, there) or 0.0) > RIGHT_DEG:
+    if there is None or abs(_turn_deg(one, there) or 0.0) > _SAME_WAY_DEG:
         fitted = _fitted(one, skyline, matcher, viewer)
         stage = "skyline" if fitted is None else "pose"
         there = fitted or there
@@ -348,7 +348,7 @@ def _fitted(
     fitted = next(iter(matcher.fit(skyline, pose).candidates), None)
     if fitted is None or _off_m(one, fitted, matcher) > RIGHT_WITHIN_M:
         return None
-    return fitted if abs(_turn_deg(one, fitted) or 0.0) <= RIGHT_DEG else None
+    return fitted if abs(_turn_deg(one, fitted) or 0.0) <= _SAME_WAY_DEG else None
 
 
 def _off_m(one: Photograph, place: Pose, matcher: Matcher) -> float:

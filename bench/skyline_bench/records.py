@@ -98,7 +98,7 @@ class Run:
         named = dict.fromkeys(str(path) for path in (*given, *more))
         # An address may be too long to be a file, for which `Path.exists` raises an error.
         here = [path for path in named if os.path.exists(path)]  # noqa: PTH110
-        return [{"path": path, "digest": digest_of(Path(path))} for path in here]
+        return [{"path": path, "digest": data_digest(Path(path))} for path in here]
 
     def _given(self) -> Iterator[tuple[Any, list[Any]]]:
         """Yield the parameters that were given, and the seed.
@@ -191,7 +191,7 @@ def read_record(path: Path) -> dict[str, Any]:
     return dict(record)
 
 
-def digest_of(path: Path) -> str:
+def data_digest(path: Path) -> str:
     """Return the digest of a store, else the SHA-256 of a file.
 
     The digest of a folder is over the names and digests of its files.
@@ -200,7 +200,7 @@ def digest_of(path: Path) -> str:
         return store.digest
     if path.is_dir():
         inside = sorted(one for one in path.rglob("*") if one.is_file())
-        parts = [f"{one.relative_to(path).as_posix()} {digest_of(one)}\n" for one in inside]
+        parts = [f"{one.relative_to(path).as_posix()} {data_digest(one)}\n" for one in inside]
         return hashlib.sha256("".join(parts).encode("utf-8", "surrogateescape")).hexdigest()
     try:
         with path.open("rb") as file:

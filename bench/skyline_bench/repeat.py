@@ -14,7 +14,7 @@ from typer import Argument, Option
 from skyline.errors import InputError, MissingFileError
 from skyline_bench import options
 from skyline_bench.measuring import Row
-from skyline_bench.records import digest_of, read_record
+from skyline_bench.records import data_digest, read_record
 
 _NEEDED = "command", "inputs", "outputs"
 """What a record must have to be repeated."""
@@ -88,7 +88,7 @@ def _inputs_in(folder: Path, record: Path, digests: Mapping[str, str]) -> dict[s
     moved = {path: here for path, here in found.items() if here is not None}
     for path, wanted in digests.items():
         here = folder / moved[path]
-        digest = digest_of(here)
+        digest = data_digest(here)
         if digest != wanted:
             raise InputError(
                 f"{here} has the digest {digest[:12]}, and {record} was made from {wanted[:12]}; "

@@ -1,6 +1,5 @@
 """Sky view factors of a DEM: time and errors by azimuth step."""
 
-import time
 from dataclasses import replace
 from typing import Annotated
 
@@ -16,7 +15,7 @@ from skyline.terrain.heightfield import HeightField
 from skyline.terrain.provenance import DemOptions
 from skyline.terrain.viewpoints import stand_on
 from skyline_bench import options
-from skyline_bench.measuring import Row, square_km
+from skyline_bench.measuring import Row, square_km, timed
 
 _COMPARED = 400
 """Samples whose factors are compared with those of fine horizons."""
@@ -59,11 +58,7 @@ def _middle(terrain: HeightField, side: int) -> HeightField:
 
 
 def _measured(terrain: HeightField, step_deg: float, seed: int, progress: Progress) -> Row:
-    started = time.perf_counter()
-    cpu_started = time.process_time()
-    grid = sky_view_grid(terrain, step_deg=step_deg, progress=progress)
-    seconds = time.perf_counter() - started
-    cpu_seconds = time.process_time() - cpu_started
+    grid, timing = timed(lambda: sky_view_grid(terrain, step_deg=step_deg, progress=progress))
     known = np.flatnonzero(np.isfinite(grid.to_numpy()))
     drawn = np.random.default_rng(seed).permutation(known)[:_COMPARED]
     row, col = np.unravel_index(drawn, grid.shape)
@@ -77,9 +72,9 @@ def _measured(terrain: HeightField, step_deg: float, seed: int, progress: Progre
         "true_step_deg": DEFAULT_STEP_DEG,
         "samples": grid.size,
         "km2": square_km(terrain.bounds_m),
-        "seconds": seconds,
-        "cpu_seconds": cpu_seconds,
-        "us_per_sample": 1e6 * seconds / grid.size,
+        "seconds": timing.seconds,
+        "cpu_seconds": timing.cpu_seconds,
+        "us_per_sample": 1e6 * timing.seconds / grid.size,
         "compared": len(drawn),
         "mean_error": float(error.mean()),
         "rms_error": float(np.sqrt(np.mean(error**2))),

@@ -5,7 +5,6 @@ shared machines, so compare only times of one run.
 """
 
 import logging
-import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, field
@@ -35,6 +34,7 @@ from skyline_bench.measuring import (
     over_cores,
     peak_bytes,
     square_km,
+    timed,
 )
 from skyline_bench.truth import oracle
 from skyline_bench.truth.agreement import PIXEL_TAN, compare
@@ -237,14 +237,12 @@ def large_dem(record: options.Record = None, quick: options.Quick = False) -> No
     place = np.random.default_rng(2).uniform(-5000.0, 5000.0, (2, viewpoints))
     eyes = stand_on(terrain, easting_m=middle + place[0], northing_m=-middle + place[1])
     with HorizonRenderer(terrain, RenderConfig()) as renderer:
-        started = time.perf_counter()
-        views = renderer.render(eyes)
-        seconds = time.perf_counter() - started
+        views, timing = timed(lambda: renderer.render(eyes))
     row = {
         "samples": samples,
         "km2": square_km(terrain.bounds_m),
         "viewpoints": viewpoints,
-        "seconds": seconds,
+        "seconds": timing.seconds,
         "median_depth_m": float(np.nanmedian(views.depth_m)),
         "greatest_depth_m": float(np.nanmax(views.depth_m)),
         "dem_bytes": heights.nbytes,

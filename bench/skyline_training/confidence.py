@@ -191,10 +191,7 @@ def _rated_kind(
     right: BoolArray,
     turn_deg: Float64Array,
 ) -> Row:
-    """Return how well probabilities hold for a kind.
-
-    The second result is the worst answered heading.
-    """
+    """Return how well a kind's probabilities hold, and its worst answered heading."""
     row = rated(model, terrain, sure, right)
     answered = turn_deg[(sure >= MatchConfig().min_confidence) & np.isfinite(turn_deg)]
     return {**row, "kind": kind, "worst_turn_deg": float(answered.max()) if len(answered) else None}

@@ -65,7 +65,7 @@ class RequestError(Exception):
     """The error of the last repetition."""
 
 
-def repeated(url: str, request: Callable[[], _T], patience: Patience = PATIENT) -> _T:
+def repeated(url: str, request: Callable[[], _T], patience: Patience) -> _T:
     """Return the result of a request, repeated if it raises a `RequestError`.
 
     If the last repetition fails too, raises its `FetchError`.
@@ -85,7 +85,7 @@ def repeated(url: str, request: Callable[[], _T], patience: Patience = PATIENT) 
         attempt += 1
 
 
-def with_remote(url: str, work: Callable[[Any], _T], patience: Patience = PATIENT) -> _T:
+def with_remote(url: str, work: Callable[[Any], _T], patience: Patience) -> _T:
     """Return the result of ``work`` on a remote GeoTIFF's rasterio dataset.
 
     After a failure that may pass, ``work`` is called again with the file opened anew. Raises

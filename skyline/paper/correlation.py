@@ -103,7 +103,7 @@ class Profiles:
 
         Elevations at the horizon have the same unit.
         """
-        return 2.0 * np.pi / self.bins / TANGENT_PER_PX
+        return bin_width_px(self.bins)
 
     def poses(
         self,
@@ -162,6 +162,11 @@ class Profiles:
         easting_m, northing_m, eye_m = np.ascontiguousarray(eye.T)
         standing = Viewpoints(easting_m=easting_m, northing_m=northing_m, eye_elevation_m=eye_m)
         return cls(standing, joined, key % bins, start)
+
+
+def bin_width_px(bins: int) -> float:
+    """Return the width in px of a bin of a turn."""
+    return 2.0 * np.pi / bins / TANGENT_PER_PX
 
 
 def at_pitches(

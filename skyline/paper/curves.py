@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, FloatArray, IntArray
-from skyline.paper.correlation import TANGENT_PER_PX, Profiles
+from skyline.paper.correlation import TANGENT_PER_PX, Profiles, bin_width_px
 from skyline.skylines import NO_KEYPOINT, polyline_vertices
 
 INLIER_PX = 4.0
@@ -60,7 +60,7 @@ class PhotoCurve:
         table = polyline_vertices(y[np.newaxis], 1.0 * TANGENT_PER_PX, 64)
         keypoints = table[table != NO_KEYPOINT].astype(np.intp)
         y_px = y / TANGENT_PER_PX
-        bin_px = 2.0 * np.pi / len(y_px) / TANGENT_PER_PX
+        bin_px = bin_width_px(len(y_px))
         offsets = patch_offsets(bin_px)
         x_px = (np.arange(len(y_px)) - len(y_px) // 2) * bin_px
         seen = np.flatnonzero(weight > 0.0)

@@ -85,10 +85,10 @@ class Content:
 def content_of(image: UInt8Array) -> Content:
     """Find the photo inside uniform borders and caption bars.
 
-    A bar is  a run of rows (or columns) from the image's edge, mostly of one colour, that ends
-    in a straight line: the next row differs from that colour nearly everywhere. Overcast sky
-    and dark ground are uniform too, but they end in a skyline. Raises `InputError` if less than
-    32 x 32 pixels of the image (H, W, 3) uint8 remain, or if it is a sliver.
+    A bar is a run of rows (or columns) from the image's edge, mostly of one colour, that ends in a
+    straight line: the next row differs from that colour nearly everywhere. Overcast sky and dark
+    ground are uniform too, but they end in a skyline. Raises `InputError` if less than 32 x 32
+    pixels of the image (H, W, 3) uint8 remain, or if it is a sliver.
     """
     height, width = image.shape[:2]
     if max(height, width) > _BARS.most_aspect * min(height, width):

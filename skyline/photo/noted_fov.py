@@ -285,7 +285,7 @@ def _is_crop(
     A crop mode reads the middle of the sensor. A program that reduces a photo and notes its new
     size leaves a small focal plane, too, but few pixels, or a later time of change.
     """
-    if _agree(film, (known,)) or noted[0] * noted[1] < _FOCAL.least_pixels or _was_edited(tags):
+    if _agree(film, (known,)) or _is_small(noted) or _was_edited(tags):
         return False
     return min(one.longer_by(known) for one in plane) > _FOCAL.agree_log
 
@@ -308,11 +308,7 @@ def _crop_share(
     software = text_of(tags, Base.Software)
     if _was_edited(tags) or any(name in software for name in _EDITORS):
         share = CROP_SHARES.edited
-    elif (
-        noted is None
-        or sorted(noted) != sorted(size_px)
-        or noted[0] * noted[1] < _FOCAL.least_pixels
-    ):
+    elif noted is None or sorted(noted) != sorted(size_px) or _is_small(noted):
         share = CROP_SHARES.resized
     else:
         share = CROP_SHARES.as_written
@@ -325,7 +321,7 @@ def _is_reduced(plane: _Source, film: _Source, noted: Size) -> bool:
     The focal plane of such a photo is too small.
     """
     if not film:
-        return noted[0] * noted[1] < _FOCAL.least_pixels
+        return _is_small(noted)
     return min(one.longer_by(other) for one, other in product(plane, film)) > _FOCAL.agree_log
 
 
@@ -388,9 +384,14 @@ def _covering(source: str, diagonals: Sequence[float], least_sd: float) -> _Foca
     return _FocalLength(source, sqrt(short * long), sd, (short, long) if short < long else ())
 
 
+def _is_small(noted: Size) -> bool:
+    """Return whether a noted frame has fewer pixels than cameras have."""
+    return noted[0] * noted[1] < _FOCAL.least_pixels
+
+
 def _is_lens(diagonals: float, focal_mm: float | None) -> bool:
     """Return whether a lens can have a focal length (frame diagonals)."""
-    if 2.0 * degrees(atan(0.5 / diagonals)) > _FOCAL.widest_deg:
+    if _fov_deg(1.0, diagonals) > _FOCAL.widest_deg:
         return False
     return focal_mm is None or _FOCAL.sensor_mm[0] <= focal_mm / diagonals <= _FOCAL.sensor_mm[1]
 

@@ -25,9 +25,9 @@ EXTENDED = b"http://ns.adobe.com/xmp/extension/\x00"
 segment."""
 HAS_EXTENDED = ("http://ns.adobe.com/xmp/note", "HasExtendedXMP")
 """The property of the first packet that refers to the second."""
-_RDF = "{http://www.w3.org/1999/02/22-rdf-syntax-ns#}"
-_IN_TIFF = 700
+XMP_TAG = 700
 """The tag of XMP in a TIFF, and in EXIF."""
+_RDF = "{http://www.w3.org/1999/02/22-rdf-syntax-ns#}"
 _IN_PNG = ("Raw profile type xmp", "Raw profile type APP1")
 """Keys of the text in which ImageMagick keeps XMP in a PNG, in hexadecimal digits."""
 _DIGEST_BYTES = 32
@@ -133,7 +133,7 @@ def _packets(image: Image.Image) -> Iterator[bytes]:
         for key in ("xmp", "XML:com.adobe.xmp"):
             if found := image.info.get(key):
                 yield found if isinstance(found, bytes) else str(found).encode()
-    in_exif = image.getexif().get(_IN_TIFF)
+    in_exif = image.getexif().get(XMP_TAG)
     if isinstance(in_exif, bytes):
         yield in_exif
     for key in _IN_PNG:

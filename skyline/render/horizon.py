@@ -54,9 +54,7 @@ class HorizonRenderer(ColumnRenderer):
     `ContextError` if no OpenGL context can be made.
     """
 
-    def __init__(
-        self, field: HeightField, config: RenderConfig, limits: GpuLimits | None = None
-    ) -> None:
+    def __init__(self, field: HeightField, config: RenderConfig) -> None:
         width = check_width(config.width)
         super().__init__(
             f"horizon {width} columns",
@@ -64,7 +62,6 @@ class HorizonRenderer(ColumnRenderer):
             columns_u(width),
             NEAR_ERROR_PX * pixel_size(width),
             config.curvature,
-            limits,
         )
 
     def render(self, viewpoints: Viewpoints, headings: ArrayLike | None = None) -> Views:

@@ -233,7 +233,7 @@ class ColumnRenderer(Renderer):
         u: Float64Array,
         near_error_tan: float,
         curvature: Curvature | None,
-        limits: GpuLimits | None,
+        limits: GpuLimits | None = None,
     ) -> None:
         super().__init__(name)
         self.field = field

@@ -25,6 +25,7 @@ from skyline.photo.xmp import (
     EXTENDED,
     HAS_EXTENDED,
     IN_JPEG,
+    XMP_TAG,
     BrokenXmpError,
     Name,
     joined,
@@ -55,8 +56,6 @@ _OF_THE_PHOTO = {
     Base.Copyright, Base.ExifOffset,
 }  # fmt: skip
 """Tags of a TIFF's directory that do not describe how its pixels are stored."""
-_XMP = 700
-"""The tag of XMP in EXIF."""
 _POSE = re.compile(
     r"(?i:gps\w*)|Latitude|Longitude|(?:Absolute|Relative|AboveGround)Altitude"
     r"|(?:Gimbal|Flight|Camera|Drone)\w+Degree|CameraOrientation\w+|Yaw|Pitch|Roll"
@@ -165,7 +164,7 @@ def _with_gps(exif: bytes, gps: Mapping[int, object], *, made_upright: bool) -> 
         directory = ImageFileDirectory_v2(exif[:8], group=IFD.GPSInfo)
     except (struct.error, SyntaxError):
         return _with_gps(_NO_EXIF, gps, made_upright=made_upright)
-    entries.pop(_XMP, None)  # Another pose may be in it.
+    entries.pop(XMP_TAG, None)  # Another pose may be in it.
     if made_upright:
         preview_at = 0
         entries[Base.Orientation] = struct.pack(f"{order}HHIHxx", Base.Orientation, _SHORT, 1, 1)

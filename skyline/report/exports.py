@@ -33,6 +33,8 @@ from skyline.match.result import MatchResult, listed
 from skyline.photo.read import read_picture
 from skyline.photo.skyline import PhotoSkyline
 from skyline.pose import COLUMNS, Ellipse, Pose, view_wedge_m
+from skyline.report.geojson import Json, collection, feature
+from skyline.report.kml import add, add_polygon, kml_document, xml_bytes
 from skyline.store.read import Store
 
 VIEW_REACH_M = 2000.0
@@ -50,7 +52,6 @@ _OVERLAY = """<PhotoOverlay><name/><Camera>
 <Point><coordinates>{place.coordinates}</coordinates></Point>
 <shape>rectangle</shape></PhotoOverlay>"""
 """A photo that stands 300 m in front of the camera; its name and address are set as texts."""
-Json = dict[str, object]
 Photos = Sequence[UInt8Array | None]
 
 
@@ -95,42 +96,38 @@ def _geojson(results: Sequence[MatchResult], frames: Sequence[Frame]) -> str:
     ``candidate``, ``view`` or ``ellipse95``.
     """
     features = [
-        feature
+        found
         for one in results
         for candidate in one.candidates
-        for feature in _features(printable(one.name), candidate, frames[candidate.area])
+        for found in _features(printable(one.name), candidate, frames[candidate.area])
     ]
-    collection = {"type": "FeatureCollection", "features": features}
-    return json.dumps(collection, indent=1, allow_nan=False) + "\n"
+    return json.dumps(collection(features), indent=1, allow_nan=False) + "\n"
 
 
 def _features(photo: str, candidate: Pose, frame: Frame) -> list[Json]:
     """Return the GeoJSON features of a candidate: point, view and ellipse."""
     of_pose: Json = {"photo": photo, "rank": candidate.rank, "origin": candidate.origin}
-
-    def feature(shape: str, geometry: Json, about: Json) -> Json:
-        properties = of_pose | {"shape": shape} | about
-        return {"type": "Feature", "geometry": geometry, "properties": properties}
-
     place = [round(candidate.lon, _DECIMALS), round(candidate.lat, _DECIMALS)]
+    about = of_pose | {"shape": "candidate"} | candidate.to_dict()
     wedge = _polygon(view_wedge_m(candidate, VIEW_REACH_M), frame)
     shapes = [
-        feature("candidate", {"type": "Point", "coordinates": place}, candidate.to_dict()),
-        feature("view", wedge, {"reach_m": VIEW_REACH_M}),
+        feature("Point", place, about),
+        feature(*wedge, of_pose | {"shape": "view", "reach_m": VIEW_REACH_M}),
     ]
     ellipse = Ellipse.of(candidate)
     if ellipse is not None:
-        axes: Json = {"semi_major_m": ellipse.semi_major_m, "semi_minor_m": ellipse.semi_minor_m}
-        shapes.append(feature("ellipse95", _polygon(ellipse.outline_m, frame), axes))
+        axes = {"semi_major_m": ellipse.semi_major_m, "semi_minor_m": ellipse.semi_minor_m}
+        outline = _polygon(ellipse.outline_m, frame)
+        shapes.append(feature(*outline, of_pose | {"shape": "ellipse95"} | axes))
     return shapes
 
 
-def _polygon(outline_m: Float64Array, frame: Frame) -> Json:
+def _polygon(outline_m: Float64Array, frame: Frame) -> tuple[str, Sequence[object]]:
     """Return an outline as a Polygon, or a MultiPolygon across the antimeridian."""
     rings = _rings(outline_m, frame)
     if len(rings) == 1:
-        return {"type": "Polygon", "coordinates": rings}
-    return {"type": "MultiPolygon", "coordinates": [[ring] for ring in rings]}
+        return "Polygon", rings
+    return "MultiPolygon", [[ring] for ring in rings]
 
 
 def _rings(outline_m: Float64Array, frame: Frame) -> list[list[list[float]]]:
@@ -146,9 +143,8 @@ def _kml(
     Each candidate is a place and a view of 2 km. The first candidate of each photo has a
     PhotoOverlay, which shows the file at the photo's address.
     """
-    root = Xml.Element("kml", xmlns="http://www.opengis.net/kml/2.2")
-    folder = _child(root, "Document")
-    _child(folder, "name", "Where the photos were taken")
+    root, folder = kml_document()
+    add(folder, "name", "Where the photos were taken")
     for result, href in zip(results, hrefs, strict=True):
         name = Path(result.name).name
         places = [_Placemark.of(name, one) for one in result.candidates]
@@ -157,7 +153,7 @@ def _kml(
         is_flat = result.skyline.projection is Projection.PERSPECTIVE
         if href is not None and places and is_flat:
             _add_photo(folder, name, result.skyline, places[0], href)
-    return bytes(Xml.tostring(root, encoding="utf-8", xml_declaration=True))
+    return xml_bytes(root)
 
 
 def _linked_kml(
@@ -201,14 +197,13 @@ def _kmz(results: Sequence[MatchResult], frames: Sequence[Frame], photos: Photos
 
 def _add_place(folder: Xml.Element, place: _Placemark, frame: Frame) -> None:
     """Add a pose to KML, with its view."""
-    mark = _child(folder, "Placemark")
-    _child(mark, "name", place.name)
-    _child(mark, "description", place.description)
-    shapes = _child(mark, "MultiGeometry")
-    _child(_child(shapes, "Point"), "coordinates", place.coordinates)
+    mark = add(folder, "Placemark")
+    add(mark, "name", place.name)
+    add(mark, "description", place.description)
+    shapes = add(mark, "MultiGeometry")
+    add(add(shapes, "Point"), "coordinates", place.coordinates)
     for outline in _rings(view_wedge_m(place.pose, VIEW_REACH_M), frame):
-        ring = _child(_child(_child(shapes, "Polygon"), "outerBoundaryIs"), "LinearRing")
-        _child(ring, "coordinates", " ".join(f"{lon},{lat}" for lon, lat in outline))
+        add_polygon(shapes, [outline])
 
 
 def _add_photo(
@@ -239,18 +234,11 @@ def _gpx(results: Sequence[MatchResult]) -> bytes:
     for result in results:
         for candidate in result.candidates:
             place = _Placemark.of(Path(result.name).name, candidate)
-            point = _child(root, "wpt", lat=place.lat, lon=place.lon)
-            _child(point, "ele", f"{candidate.eye_elevation_m:.1f}")
-            _child(point, "name", place.name)
-            _child(point, "desc", place.description)
-    return bytes(Xml.tostring(root, encoding="utf-8", xml_declaration=True))
-
-
-def _child(parent: Xml.Element, tag: str, text: str = "", **attributes: str) -> Xml.Element:
-    element = Xml.SubElement(parent, tag, attributes)
-    if text:
-        element.text = printable(text)
-    return element
+            point = add(root, "wpt", lat=place.lat, lon=place.lon)
+            add(point, "ele", f"{candidate.eye_elevation_m:.1f}")
+            add(point, "name", place.name)
+            add(point, "desc", place.description)
+    return xml_bytes(root)
 
 
 EXPORTS: Mapping[

@@ -12,7 +12,7 @@ from matplotlib.text import Text
 from skyline.errors import some_of
 from skyline.files import has_mark
 from skyline.fonts import fonts_for, packages_with, undrawn_letters
-from skyline.peaks import S
+from skyline.peaks import S, Sighting
 
 _MARK = "Software", "Skyline"
 """Name and content of a text in all PNG files that are written here."""
@@ -38,15 +38,15 @@ def is_figure(path: Path) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class PlacedLabel:
-    """A label in a band of rows above a picture."""
+    """A label above a picture, in the unit of the lengths given."""
 
     index: int
     """Index of the label in the order given."""
-    anchor_px: float
-    """Column in which the label's leader line descends."""
-    left_px: float
+    anchor: float
+    """Where the label's leader line descends."""
+    left: float
     """Left end of the label and its gap."""
-    right_px: float
+    right: float
     """Right end of the label and its gap."""
     row: int
     """0 is the lowest row, next to the picture."""
@@ -54,9 +54,9 @@ class PlacedLabel:
     def disturbs(self, other: "PlacedLabel") -> bool:
         """Return whether two labels, or one and the other's leader, overlap."""
         if self.row == other.row:
-            return self.left_px < other.right_px and other.left_px < self.right_px
+            return self.left < other.right and other.left < self.right
         low, high = (self, other) if self.row < other.row else (other, self)
-        return low.left_px <= high.anchor_px <= low.right_px
+        return low.left <= high.anchor <= low.right
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,6 +80,11 @@ class Label(Generic[S]):
         return {"fontfamily": self.families, "parse_math": False}
 
 
+def with_distance(peak: Sighting) -> str:
+    """Return a peak's label, and its distance from the eye."""
+    return f"{peak.label}  {peak.distance_m / 1000.0:.1f} km"
+
+
 def labels_of(peaks: Sequence[S], texts: Sequence[str]) -> tuple[list[Label[S]], tuple[str, ...]]:
     """Return the labels that installed fonts draw, and the other peaks' names."""
     labels = [Label(*one) for one in zip(peaks, texts, fonts_for(texts), strict=True)]
@@ -88,24 +93,24 @@ def labels_of(peaks: Sequence[S], texts: Sequence[str]) -> tuple[list[Label[S]],
 
 
 def place_labels(
-    anchors_px: Sequence[float],
-    widths_px: Sequence[float],
-    picture_px: float,
+    anchors: Sequence[float],
+    widths: Sequence[float],
+    picture_width: float,
     rows: int,
-    gap_px: float = 8.0,
+    gap: float,
 ) -> list[PlacedLabel]:
     """Place labels, in the order given, over their leader lines.
 
-    A label is centred on the column of its line, and lies in the lowest row with room for it,
-    within the picture's width and with a gap on either side. Where leader lines are too near for
-    that, the label begins or ends at its own line in the lowest row, and all others move up a row.
-    A label that fits in none of the rows is left out.
+    Lengths have one unit, such as pixels or inches. A label is centred on its line, and lies in the
+    lowest row with room for it, within the picture's width and with a gap on either side. Where
+    leader lines are too near for that, the label begins or ends at its own line in the lowest row,
+    and all others move up a row. A label that fits in none of the rows is left out.
     """
     placed: list[PlacedLabel] = []
-    for index, (anchor, width) in enumerate(zip(anchors_px, widths_px, strict=True)):
-        half = width / 2.0 + gap_px
-        wanted = (anchor, anchor + half - gap_px, anchor - half + gap_px)
-        middles = (min(max(at, half), max(picture_px - half, half)) for at in wanted)
+    for index, (anchor, width) in enumerate(zip(anchors, widths, strict=True)):
+        half = width / 2.0 + gap
+        wanted = (anchor, anchor + half - gap, anchor - half + gap)
+        middles = (min(max(at, half), max(picture_width - half, half)) for at in wanted)
         lowest = [PlacedLabel(index, anchor, at - half, at + half, 0) for at in middles]
         raised = [replace(old, row=old.row + 1) for old in placed]
         tries = [(replace(lowest[0], row=row), placed) for row in range(rows)]

@@ -19,9 +19,8 @@ from skyline.camera import Camera
 from skyline.errors import InputError, suffix_of
 from skyline.files import write_whole
 from skyline.ground import GroundErrors, GroundPoints, GroundView
+from skyline.report.geotiff import GEOTIFFS, geotiff
 from skyline.terrain.heightfield import HeightField
-
-ORTHO_FILES = (".tif", ".tiff")
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,8 +48,8 @@ _SETTINGS = OrthoSettings()
 
 
 @dataclass(frozen=True, slots=True)
-class Grid:
-    """Square cells on the map, in a terrain's frame."""
+class CellGrid:
+    """Square cells on the map, from their north-western corner in a frame."""
 
     west_m: float
     north_m: float
@@ -88,7 +87,7 @@ class Laid:
         return np.isfinite(self.pixel_m)
 
 
-def grid_of(views: Sequence[GroundView], resolution_m: float | None = None) -> Grid:
+def grid_of(views: Sequence[GroundView], resolution_m: float | None = None) -> CellGrid:
     """Return the grid that holds what cameras see.
 
     By default its cells are half as large as the median pixel is long on the ground, or larger.
@@ -111,7 +110,7 @@ def grid_of(views: Sequence[GroundView], resolution_m: float | None = None) -> G
         east, north = np.ceil(place[near].max(axis=0) / cell_m + 1.0) * cell_m
         rows, cols = round((north - south) / cell_m), round((east - west) / cell_m)
         if rows * cols <= _SETTINGS.most_cells:
-            return Grid(float(west), float(north), cell_m, rows, cols)
+            return CellGrid(float(west), float(north), cell_m, rows, cols)
         coarser_m = cell_m * math.sqrt(rows * cols / _SETTINGS.most_cells)
         if resolution_m is not None:
             raise InputError(
@@ -121,7 +120,7 @@ def grid_of(views: Sequence[GroundView], resolution_m: float | None = None) -> G
         cell_m = coarser_m
 
 
-def place_sd_m(views: Sequence[GroundView], grid: Grid) -> float:
+def place_sd_m(views: Sequence[GroundView], grid: CellGrid) -> float:
     """Return the median standard error of places on a grid, metres."""
     errors_m = []
     for view in views:
@@ -162,7 +161,7 @@ def _lengths_m(points: GroundPoints) -> Float64Array:
     return lengths_m
 
 
-def lay(view: GroundView, picture: NDArray[Any], grid: Grid) -> Laid:
+def lay(view: GroundView, picture: NDArray[Any], grid: CellGrid) -> Laid:
     """Lay a camera's picture (H, W, C) on a grid."""
     shape = (grid.rows, grid.cols)
     east_m, north_m = grid.middles_m()
@@ -244,7 +243,7 @@ def mosaic(laid: Sequence[Laid]) -> Laid:
     return best
 
 
-def write_ortho(path: Path, laid: Laid, grid: Grid, terrain: HeightField) -> None:
+def write_ortho(path: Path, laid: Laid, grid: CellGrid, terrain: HeightField) -> None:
     """Write red, green, blue and alpha as a Cloud-Optimized GeoTIFF.
 
     Raises `InputError` for another suffix, and where the file cannot be written.
@@ -254,7 +253,7 @@ def write_ortho(path: Path, laid: Laid, grid: Grid, terrain: HeightField) -> Non
     _write(path, np.moveaxis(bands, -1, 0), grid, terrain, ("red", "green", "blue", "alpha"))
 
 
-def write_pixel_lengths(path: Path, laid: Laid, grid: Grid, terrain: HeightField) -> None:
+def write_pixel_lengths(path: Path, laid: Laid, grid: CellGrid, terrain: HeightField) -> None:
     """Write pixels' lengths on the ground, metres, as `write_ortho` does."""
     _write(path, laid.pixel_m[np.newaxis], grid, terrain, ("gray",), nodata=np.nan)
 
@@ -262,26 +261,12 @@ def write_pixel_lengths(path: Path, laid: Laid, grid: Grid, terrain: HeightField
 def _write(
     path: Path,
     bands: NDArray[Any],
-    grid: Grid,
+    grid: CellGrid,
     terrain: HeightField,
     colours: Sequence[str],
     **options: Any,
 ) -> None:
-    from rasterio.enums import ColorInterp  # noqa: PLC0415  (slow to load)
-    from rasterio.io import MemoryFile  # noqa: PLC0415
-    from rasterio.transform import from_origin  # noqa: PLC0415
-
-    suffix_of(path, ORTHO_FILES)
-    about = {
-        "count": len(bands),
-        "height": grid.rows,
-        "width": grid.cols,
-        "dtype": bands.dtype.name,
-        "crs": terrain.frame.wkt,
-        "transform": from_origin(grid.west_m, grid.north_m, grid.cell_m, grid.cell_m),
-    }
-    with MemoryFile() as memory:
-        with memory.open(driver="COG", compress="deflate", **about, **options) as raster:
-            raster.colorinterp = [ColorInterp[one] for one in colours]
-            raster.write(bands)
-        write_whole(path, memory.read())
+    suffix_of(path, GEOTIFFS)
+    corner_m = grid.west_m, grid.north_m
+    wkt = terrain.frame.wkt
+    write_whole(path, geotiff(bands, corner_m, grid.cell_m, wkt, colours=colours, **options))

@@ -15,7 +15,13 @@ from skyline.arrays import UInt8Array
 from skyline.ground_shapes import PhotoShape
 from skyline.photo.skyline import PhotoSkyline
 from skyline.pose import Pose
-from skyline.report.labels import UnnamedPeaks, encode_figure, labels_of, place_labels
+from skyline.report.labels import (
+    UnnamedPeaks,
+    encode_figure,
+    labels_of,
+    place_labels,
+    with_distance,
+)
 from skyline.view import SeenBody, SeenPeak, Sight
 
 _RENDERED_COLOUR = "#35d0ff"
@@ -85,7 +91,7 @@ def draw_labels(
         The picture, with the photo at most 1600 px wide and high; and the peaks left unnamed,
         because names would overlap or no installed font draws them.
     """
-    texts = [f"{one.label}  {one.distance_m / 1000.0:.1f} km" for one in peaks]
+    texts = list(map(with_distance, peaks))
     figure, axis, unnamed = _draw_picture(skyline, photo, peaks, texts)
     if sight is not None:
         axis.plot(sight.column_px, sight.row_px, color=_RENDERED_COLOUR, linewidth=1.0, alpha=0.6)
@@ -177,6 +183,7 @@ def _draw_picture(
         [one.extent_px(figure, font_pt)[0] for one in labels],
         width,
         rows=6,
+        gap=8.0,
     )
     drawn = {one.index for one in placed}
     no_room = tuple(one.peak.name for at, one in enumerate(labels) if at not in drawn)
@@ -201,7 +208,7 @@ def _draw_picture(
         label = labels[place.index]
         peak = label.peak
         foot = (-8.0 - place.row * _ROW_PX) / scale - 0.5
-        middle = (place.left_px + place.right_px) / 2.0 / scale - 0.5
+        middle = (place.left + place.right) / 2.0 / scale - 0.5
         leader = [foot, peak.row_px - 3.0 / scale]
         axis.plot(
             [peak.column_px] * 2, leader, "w", linewidth=0.9, path_effects=outline, zorder=2.5

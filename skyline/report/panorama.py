@@ -19,7 +19,14 @@ from skyline.errors import suffix_of
 from skyline.files import write_whole
 from skyline.geodesy.bounds import degrees_in_words
 from skyline.peaks import Peaks, Sighting
-from skyline.report.labels import Label, UnnamedPeaks, encode_figure, labels_of, place_labels
+from skyline.report.labels import (
+    Label,
+    UnnamedPeaks,
+    encode_figure,
+    labels_of,
+    place_labels,
+    with_distance,
+)
 from skyline.report.panorama_view import (
     COLUMNS,
     PanoramaConfig,
@@ -140,8 +147,7 @@ def draw_panorama(view: PanoramaView) -> tuple[Figure, UnnamedPeaks]:
     """
     figure = Figure(dpi=150)
     FigureCanvasAgg(figure)
-    texts = [f"{one.label}  {one.distance_m / 1000.0:.1f} km" for one in view.sightings]
-    labels, no_font = labels_of(view.sightings, texts)
+    labels, no_font = labels_of(view.sightings, list(map(with_distance, view.sightings)))
     rows = [_Row.of(view, row, labels, figure) for row in range(row_count(view.config.fov_deg))]
     rows_in = sum(row.names_in + row.high_in + _LAYOUT.scale_in for row in rows)
     total_in = _LAYOUT.title_in + rows_in
@@ -317,12 +323,12 @@ def _draw_names(axis: Axes, row: _Row) -> list[Label[Sighting]]:
         [wide_in for *_, wide_in in row.names],
         (end - begin) * in_a_deg,
         rows=1,
-        gap_px=0.015,
+        gap=0.015,
     )
     leaders = []
     for place in placed:
         label, azimuth, summit_deg, _ = row.names[place.index]
-        middle = begin + 0.5 * (place.left_px + place.right_px) / in_a_deg
+        middle = begin + 0.5 * (place.left + place.right) / in_a_deg
         high = row.span_deg[1]
         foot = high + 0.15 / in_a_deg
         leaders.append([(azimuth, summit_deg), (azimuth, high), (middle, foot)])

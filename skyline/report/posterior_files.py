@@ -3,8 +3,6 @@
 import json
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
-from xml.etree import ElementTree as Xml
 
 import numpy as np
 
@@ -13,16 +11,16 @@ from skyline.errors import InputError, printable, suffix_of
 from skyline.files import GEOJSON, write_with_folders
 from skyline.geodesy.antimeridian import lonlat_rings
 from skyline.match.posterior import SHARES, Posterior
+from skyline.report.geojson import Json, collection, feature
+from skyline.report.geotiff import GEOTIFFS, geotiff
+from skyline.report.kml import add, add_polygon, kml_document, xml_bytes
 
-RASTERS = (".tif", ".tiff")
-"""Suffixes of files that hold the posterior of one photo."""
-POSTERIOR_FILES = (*RASTERS, *GEOJSON, ".kml")
-"""Suffixes of all files of posteriors."""
+POSTERIOR_FILES = (*GEOTIFFS, *GEOJSON, ".kml")
+"""Suffixes of files of posteriors; a GeoTIFF holds one photo's."""
 _DECIMALS = 6
 """Decimals of degrees in files: a tenth of a metre."""
 _COLOURS = {0.5: "b03030e0", 0.8: "803080f0", 0.95: "5030d0f0"}
 """Colours of regions in KML: opacity, blue, green, red."""
-Json = dict[str, Any]
 
 
 def write_posteriors(
@@ -45,7 +43,7 @@ def write_posteriors(
         A suffix is unknown, there are several photos for a GeoTIFF, or a file cannot be written.
     """
     kinds = {Path(path): suffix_of(path, POSTERIOR_FILES) for path in paths}
-    rasters = [path for path, kind in kinds.items() if kind in RASTERS]
+    rasters = [path for path, kind in kinds.items() if kind in GEOTIFFS]
     features: list[Json] = []
     for number, (photo, posterior) in enumerate(posteriors):
         if rasters and number:
@@ -58,8 +56,7 @@ def write_posteriors(
         if kind == ".kml":
             write_with_folders(path, _kml(features))
         elif kind in GEOJSON:
-            collection = {"type": "FeatureCollection", "features": features}
-            write_with_folders(path, json.dumps(collection) + "\n")
+            write_with_folders(path, json.dumps(collection(features)) + "\n")
 
 
 def _feature(photo: str, posterior: Posterior, share: float) -> Json:
@@ -67,15 +64,9 @@ def _feature(photo: str, posterior: Posterior, share: float) -> Json:
     polygons = [
         polygon for rings in posterior.region(share) for polygon in _polygons(rings, posterior)
     ]
-    return {
-        "type": "Feature",
-        "geometry": {"type": "MultiPolygon", "coordinates": polygons},
-        "properties": {
-            "photo": photo,
-            "share": share,
-            "area_km2": round(posterior.area_km2(share), 6),
-        },
-    }
+    area_km2 = round(posterior.area_km2(share), 6)
+    about = {"photo": photo, "share": share, "area_km2": area_km2}
+    return feature("MultiPolygon", polygons, about)
 
 
 def _polygons(rings: Sequence[Float64Array], posterior: Posterior) -> list[list[list[list[float]]]]:
@@ -97,51 +88,32 @@ def _polygons(rings: Sequence[Float64Array], posterior: Posterior) -> list[list[
 
 def _kml(features: Sequence[Json]) -> bytes:
     """Return regions as KML, the widest ones lowest."""
-    root = Xml.Element("kml", xmlns="http://www.opengis.net/kml/2.2")
-    document = Xml.SubElement(root, "Document")
+    root, document = kml_document()
     for share, colour in _COLOURS.items():
-        style = Xml.SubElement(document, "Style", id=f"held{share * 100:.0f}")
+        style = add(document, "Style", id=f"held{share * 100:.0f}")
         for part in ("LineStyle", "PolyStyle"):
-            Xml.SubElement(Xml.SubElement(style, part), "color").text = colour
-    for one in sorted(features, key=lambda feature: -feature["properties"]["share"]):
+            add(add(style, part), "color", colour)
+    for one in sorted(features, key=lambda region: -region["properties"]["share"]):
         about = one["properties"]
         percent = f"{about['share'] * 100:.0f}"
-        mark = Xml.SubElement(document, "Placemark")
-        Xml.SubElement(mark, "name").text = f"{Path(about['photo']).name}: {percent} %"
+        mark = add(document, "Placemark")
+        add(mark, "name", f"{Path(about['photo']).name}: {percent} %")
         text = f"Taken in this area with a probability of {percent} %; {about['area_km2']:.3g} km²"
-        Xml.SubElement(mark, "description").text = text
-        Xml.SubElement(mark, "styleUrl").text = f"#held{percent}"
-        shapes = Xml.SubElement(mark, "MultiGeometry")
+        add(mark, "description", text)
+        add(mark, "styleUrl", f"#held{percent}")
+        shapes = add(mark, "MultiGeometry")
         for rings in one["geometry"]["coordinates"]:
-            polygon = Xml.SubElement(shapes, "Polygon")
-            for number, ring in enumerate(rings):
-                side = Xml.SubElement(polygon, "innerBoundaryIs" if number else "outerBoundaryIs")
-                places = " ".join(f"{lon},{lat}" for lon, lat in ring)
-                line = Xml.SubElement(side, "LinearRing")
-                Xml.SubElement(line, "coordinates").text = places
-    return bytes(Xml.tostring(root, encoding="utf-8", xml_declaration=True))
+            add_polygon(shapes, rings)
+    return xml_bytes(root)
 
 
 def _geotiff(posterior: Posterior) -> bytes:
-    """Return the probability of each cell as a Cloud-Optimized GeoTIFF."""
-    from rasterio.io import MemoryFile  # noqa: PLC0415  (slow to load)
-    from rasterio.transform import from_origin  # noqa: PLC0415
-
-    rows, cols = posterior.probability.shape
-    with MemoryFile() as memory:
-        with memory.open(
-            driver="COG",
-            count=1,
-            height=rows,
-            width=cols,
-            dtype="float32",
-            crs=posterior.frame.wkt,
-            transform=from_origin(
-                posterior.west_m, posterior.north_m, posterior.cell_m, posterior.cell_m
-            ),
-            compress="deflate",
-            predictor="yes",
-        ) as raster:
-            raster.write(posterior.probability, 1)
-            raster.set_band_description(1, "probability of the cell")
-        return bytes(memory.read())
+    """Return the probability of each cell as a GeoTIFF."""
+    return geotiff(
+        posterior.probability[np.newaxis],
+        (posterior.west_m, posterior.north_m),
+        posterior.cell_m,
+        posterior.frame.wkt,
+        names=["probability of the cell"],
+        predictor="yes",
+    )

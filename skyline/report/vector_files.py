@@ -1,21 +1,22 @@
 """Files of a photo's shapes on the map, and the reverse."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
-from xml.etree import ElementTree as Xml
 
 import numpy as np
 
 from skyline.arrays import Float64Array
-from skyline.errors import library, printable, suffix_of
+from skyline.errors import library, suffix_of
 from skyline.files import GEOJSON, write_whole
 from skyline.geodesy.map_frame import Frame
 from skyline.ground import GroundPoints
 from skyline.ground_shapes import GroundShape, PhotoShape
 from skyline.photo.skyline import PhotoSkyline
+from skyline.report.geojson import Json, collection, feature
+from skyline.report.kml import add, add_coordinates, add_polygon, kml_document, xml_bytes
 from skyline.vectors import LINE, PHOTO_MEMBER, POINT, POLYGON, VERTICES_LAYER
 
 MAP_FILES = (*GEOJSON, ".gpkg", ".kml")
@@ -26,7 +27,6 @@ _METRES = 2
 _PIXELS = 2
 _NAMES = ("name", "label", "category", "id")
 """Properties that may name a shape; the first one present counts."""
-Json = dict[str, Any]
 
 
 def write_on_map(path: Path, shapes: Sequence[GroundShape], frame: Frame, photo: Path) -> None:
@@ -44,7 +44,7 @@ def write_on_map(path: Path, shapes: Sequence[GroundShape], frame: Frame, photo:
     elif suffix == ".kml":
         content = _kml(features)
     else:
-        content = _collection(features)
+        content = _text(features)
     write_whole(path, content)
 
 
@@ -58,25 +58,17 @@ def write_in_photo(
     written.
     """
     size = {"width_px": skyline.width_px, "height_px": skyline.height_px}
-    features = [
-        {
-            "type": "Feature",
-            "geometry": {
-                "type": POINT if one.shape.kind == POINT else LINE,
-                "coordinates": place[0] if one.shape.kind == POINT else place,
-            },
-            "properties": {**one.shape.properties, "hidden": hidden},
-        }
-        for one in shapes
-        for part, hidden in one.parts(skyline.width_px, skyline.height_px)
-        for place in [np.round(part, _PIXELS).tolist()]
-    ]
-    write_whole(path, _collection(features, {PHOTO_MEMBER: {"name": photo.name, **size}}))
+    features = []
+    for one in shapes:
+        for part, hidden in one.parts(skyline.width_px, skyline.height_px):
+            place = np.round(part, _PIXELS).tolist()
+            geometry = (POINT, place[0]) if one.shape.kind == POINT else (LINE, place)
+            features.append(feature(*geometry, {**one.shape.properties, "hidden": hidden}))
+    write_whole(path, _text(features, **{PHOTO_MEMBER: {"name": photo.name, **size}}))
 
 
-def _collection(features: Sequence[Json], more: Mapping[str, Any] | None = None) -> str:
-    collection = {"type": "FeatureCollection", **(more or {}), "features": features}
-    return json.dumps(collection, indent=1) + "\n"
+def _text(features: Sequence[Json], **members: Any) -> str:
+    return json.dumps(collection(features, **members), indent=1) + "\n"
 
 
 def _on_map(found: GroundShape, frame: Frame, photo: Path) -> Json:
@@ -97,11 +89,7 @@ def _on_map(found: GroundShape, frame: Frame, photo: Path) -> Json:
         properties |= vertices[0]
     else:
         properties |= {**_measures(found), "vertices": vertices}
-    return {
-        "type": "Feature",
-        "geometry": {"type": kind, "coordinates": coordinates},
-        "properties": properties,
-    }
+    return feature(kind, coordinates, properties)
 
 
 def _measures(found: GroundShape) -> Json:
@@ -169,10 +157,8 @@ def _geopackage(path: Path, features: Sequence[Json]) -> bytes:
         layers.setdefault(kind, []).append({**one, "properties": {"shape": number, **about}})
         for vertex in one["properties"].get("vertices", ()):
             place = [vertex["lon"], vertex["lat"], vertex["elevation_m"]]
-            geometry = {"type": POINT, "coordinates": place}
-            layers.setdefault(VERTICES_LAYER, []).append(
-                {"type": "Feature", "geometry": geometry, "properties": {"shape": number, **vertex}}
-            )
+            drawn = feature(POINT, place, {"shape": number, **vertex})
+            layers.setdefault(VERTICES_LAYER, []).append(drawn)
     # Layers are added in a folder of this machine: some network folders lack SQLite's file locks.
     with TemporaryDirectory() as folder:
         file = Path(folder) / "shapes.gpkg"
@@ -183,26 +169,17 @@ def _geopackage(path: Path, features: Sequence[Json]) -> bytes:
 
 
 def _kml(features: Sequence[Json]) -> bytes:
-    root = Xml.Element("kml", xmlns="http://www.opengis.net/kml/2.2")
-    folder = Xml.SubElement(root, "Document")
+    root, document = kml_document()
     for number, one in enumerate(features, start=1):
         properties, geometry = one["properties"], one["geometry"]
-        mark = Xml.SubElement(folder, "Placemark")
+        mark = add(document, "Placemark")
         names = (properties[name] for name in _NAMES if properties.get(name) is not None)
-        Xml.SubElement(mark, "name").text = printable(str(next(names, f"shape {number}")))
+        add(mark, "name", str(next(names, f"shape {number}")))
         about = (f"{name}: {value}" for name, value in properties.items() if name != "vertices")
-        Xml.SubElement(mark, "description").text = printable("; ".join(about))
+        add(mark, "description", "; ".join(about))
         kind, coordinates = geometry["type"], geometry["coordinates"]
-        shape = Xml.SubElement(mark, kind)
         if kind == POLYGON:
-            for part, ring in enumerate(coordinates):
-                side = Xml.SubElement(shape, "innerBoundaryIs" if part else "outerBoundaryIs")
-                _add_coordinates(Xml.SubElement(side, "LinearRing"), ring)
+            add_polygon(mark, coordinates)
         else:
-            _add_coordinates(shape, [coordinates] if kind == POINT else coordinates)
-    return bytes(Xml.tostring(root, encoding="utf-8", xml_declaration=True))
-
-
-def _add_coordinates(parent: Xml.Element, places: Sequence[Sequence[float]]) -> None:
-    text = " ".join(",".join(map(str, place)) for place in places)
-    Xml.SubElement(parent, "coordinates").text = text
+            add_coordinates(add(mark, kind), [coordinates] if kind == POINT else coordinates)
+    return xml_bytes(root)

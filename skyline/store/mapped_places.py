@@ -199,9 +199,6 @@ class JoinedPlaces(PlaceMap):
         self._order = order
         self._starts = np.cumsum([0, *(len(one) for one in maps)])
 
-    def __repr__(self) -> str:
-        return f"PlaceMap({len(self)} places)"
-
     def __len__(self) -> int:
         """Return the number of places."""
         return len(self._order)

@@ -113,7 +113,7 @@ class Store:
         """
         about = {name: self.header.attributes[name] for name in ("dem_digest", "config", "rows")}
         sha = hashlib.sha256(json.dumps(about, sort_keys=True).encode())
-        sha.update(self._read(self.header.checksum, self._indexed(slice(None))).tobytes())
+        sha.update(self.stored_as(self.header.checksum).tobytes())
         return sha.hexdigest()
 
     def views(self, index: RowIndex = slice(None)) -> Views:
@@ -152,11 +152,8 @@ class Store:
 
     def eyes(self) -> Viewpoints:
         """Read the eyes of all rows, of either kind; raises as `stored`."""
-        rows = self._indexed(slice(None))
         names = self.header.fields
-        read = {
-            field: self._read(names[field], rows).astype(np.float64, copy=False) for field in EYE
-        }
+        read = {field: self.stored_as(names[field]).astype(np.float64, copy=False) for field in EYE}
         return Viewpoints(**read)
 
     def places(self) -> PlaceMap:

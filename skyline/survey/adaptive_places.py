@@ -87,8 +87,8 @@ class Sights(Rows):
         return cls(Places.of(horizons, 0.0), lost_shares(horizons.distance_m, _SPACING_M))
 
 
-Look = Callable[[Viewpoints], Sights]
-"""A function that renders viewpoints."""
+SightsOf = Callable[[Viewpoints], Sights]
+"""Renders viewpoints, and returns what a plan sees there."""
 
 
 def blocks_of(area: Rectangle) -> list[tuple[int, int]]:
@@ -110,7 +110,7 @@ class Prices:
     area of holes.
     """
 
-    def __init__(self, terrain: HeightField, area: Rectangle, look: Look) -> None:
+    def __init__(self, terrain: HeightField, area: Rectangle, look: SightsOf) -> None:
         eyes, self._surface_m2 = spread_over(terrain, area)
         self._lost = look(eyes).lost
 
@@ -177,7 +177,7 @@ def spread_over(terrain: HeightField, area: Rectangle) -> tuple[Viewpoints, floa
 
 
 def planned_places(
-    terrain: HeightField, look: Look, area: Rectangle, price: float, block: tuple[int, int]
+    terrain: HeightField, look: SightsOf, area: Rectangle, price: float, block: tuple[int, int]
 ) -> Places:
     """Lay out and render a block's places, by rows from the north-west.
 
@@ -227,7 +227,7 @@ class _Seen:
     Nodes are columns and rows of the finest lattice, from the block's south-western corner.
     """
 
-    def __init__(self, terrain: HeightField, look: Look, block: tuple[int, int]) -> None:
+    def __init__(self, terrain: HeightField, look: SightsOf, block: tuple[int, int]) -> None:
         self._terrain = terrain
         self._look = look
         self._corner_m = np.array(block) * BLOCK_M

@@ -44,7 +44,7 @@ _log = logging.getLogger(__name__)
 
 
 Look = Callable[[Viewpoints], Columns]
-"""A function that renders viewpoints and returns their rows."""
+"""Renders viewpoints, and returns their rows."""
 
 
 @dataclass(frozen=True, slots=True)

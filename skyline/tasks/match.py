@@ -39,7 +39,8 @@ from skyline.photo.skyline import PhotoSkyline
 from skyline.plugins import names_of
 from skyline.report.exports import EXPORTS, export_matches
 from skyline.report.folder import check_report_folder
-from skyline.report.posterior_files import POSTERIOR_FILES, RASTERS, write_posteriors
+from skyline.report.geotiff import GEOTIFFS
+from skyline.report.posterior_files import POSTERIOR_FILES, write_posteriors
 from skyline.report.results_file import ResultsFile
 from skyline.store.read import is_store
 from skyline.survey.cluster import Runner, runner_of
@@ -178,7 +179,7 @@ class MatchTask:
             self._check_walk(self.walked_km_h)
         for path in self.probability:
             kind = suffix_of(path, POSTERIOR_FILES)
-            if kind in RASTERS and len(self.entries) > 1 and not self.same_place:
+            if kind in GEOTIFFS and len(self.entries) > 1 and not self.same_place:
                 raise InputError(
                     f"--probability {path} holds one photo, and {len(self.entries)} are named; "
                     f"give {path.with_suffix(GEOJSON[0])} or {path.with_suffix('.kml')}, which "

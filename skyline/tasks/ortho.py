@@ -10,8 +10,8 @@ from skyline.camera import Projection
 from skyline.errors import InputError, suffix_of
 from skyline.files import check_outputs, on_disk
 from skyline.pose_file import read_posed
+from skyline.report.geotiff import GEOTIFFS
 from skyline.report.ortho import (
-    ORTHO_FILES,
     grid_of,
     lay,
     mosaic,
@@ -55,7 +55,7 @@ def lay_photos(task: OrthoTask, listener: Listener) -> list[str]:
     """
     outputs = [task.output, *filter(None, [task.pixel_lengths])]
     for path in outputs:
-        suffix_of(path, ORTHO_FILES)
+        suffix_of(path, GEOTIFFS)
         refuse_in_dem(path, task.dem)
     if task.resolution_m is not None and not 0.0 < task.resolution_m < np.inf:
         raise InputError(f"the resolution is {task.resolution_m:g} m; expected above 0")

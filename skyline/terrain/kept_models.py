@@ -52,7 +52,7 @@ def models_folder() -> Path:
 
 def kept_bytes() -> int:
     """Return how much of the disk all kept models take."""
-    return sum(512 * about.st_blocks for about, _ in _kept())
+    return sum(size for size, _ in _kept())
 
 
 def remove_models() -> None:
@@ -64,14 +64,15 @@ def remove_models() -> None:
         path.unlink(missing_ok=True)
 
 
-def _kept() -> list[tuple[os.stat_result, Path]]:
-    """Return the files of kept models, the least recently used first."""
+def _kept() -> list[tuple[int, Path]]:
+    """Return kept models' sizes and files, least recently used first."""
     known = []
     for path in models_folder().glob("*"):
         with suppress(FileNotFoundError):
             if not path.is_dir():  # Someone else's
                 known.append((path.stat(), path))
-    return sorted(known, key=lambda one: one[0].st_mtime)
+    known.sort(key=lambda one: one[0].st_mtime)
+    return [(512 * about.st_blocks, path) for about, path in known]
 
 
 def place_of(names: Sequence[str], options: DemOptions) -> Path | None:
@@ -182,15 +183,15 @@ def _has_room(folder: Path, dem: MetricDem) -> bool:
     if dem.source is not None:
         samples += dem.source.heights_m.size
     known = _kept()
-    taken = sum(512 * about.st_blocks for about, _ in known)
+    taken = sum(size for size, _ in known)
     left = _MOST_OF_FREE * (shutil.disk_usage(folder).free + taken) - 4 * samples
     if left < 0.0:
         return False
-    for about, path in known:
+    for size, path in known:
         if taken <= left:
             break
         path.unlink(missing_ok=True)
-        taken -= 512 * about.st_blocks
+        taken -= size
     return True
 
 

@@ -61,8 +61,7 @@ def read_surface(
     if isinstance(surface, HeightField):
         model = surface
     else:
-        crs = DemOptions.from_json(terrain.provenance.options).crs
-        model = read_dem(surface, DemOptions(crs=crs))
+        model = read_dem(surface, DemOptions.from_json(terrain.provenance.options))
     above_m = _highest_within(_above_ground_m(model, terrain, rules), model, terrain)
     above_ground = replace(model, heights_m=above_m)
     heights_m = np.empty_like(terrain.heights_m)

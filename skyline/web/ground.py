@@ -20,7 +20,7 @@ from skyline import (
 )
 from skyline.cache import title_of
 
-MAX_ZOOM = 18
+_PAGE_ZOOM = 18
 """Greatest zoom of the page's map."""
 _NAME_LENGTH = 100
 
@@ -83,7 +83,7 @@ class Ground:
                 self.matcher.frame.box_deg(easting_m=eyes.easting_m, northing_m=eyes.northing_m)
             ),
             "terrain": self.relief and list(self.relief.bounds_deg),
-            "contours_m": [self.relief.contours_m(zoom) for zoom in range(MAX_ZOOM + 1)]
+            "contours_m": [self.relief.contours_m(zoom) for zoom in range(_PAGE_ZOOM + 1)]
             if self.relief
             else None,
             "peaks": self._viewer is not None and self.peaks is not None,

@@ -11,7 +11,7 @@ from commands import assert_refused
 from scenes import fractal, write_dem
 
 from skyline import __version__, open_store, read_dem
-from skyline_bench.records import digest_of
+from skyline_bench.records import data_digest
 
 ROOT = Path(__file__).parents[2]
 RESULTS = ROOT / "bench" / "results"
@@ -146,8 +146,8 @@ def test_a_record_of_before_says_what_is_missing(run_bench, tmp_path):
 def test_a_store_s_digest_is_of_its_rows(store, dem, tmp_path):
     copied = shutil.copy(store, tmp_path / "other.h5")
     with open_store(store) as one, open_store(copied) as other:
-        assert one.digest == other.digest == digest_of(Path(copied))
-    assert digest_of(Path(dem)) != digest_of(Path(store))
+        assert one.digest == other.digest == data_digest(Path(copied))
+    assert data_digest(Path(dem)) != data_digest(Path(store))
 
 
 @pytest.mark.parametrize("path", sorted(RESULTS.glob("*.json")), ids=lambda path: path.stem)

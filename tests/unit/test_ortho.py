@@ -11,7 +11,7 @@ from skyline.errors import InputError
 from skyline.geodesy.earth import Curvature
 from skyline.photo.skyline import PhotoSkyline
 from skyline.report.ortho import (
-    Grid,
+    CellGrid,
     grid_of,
     lay,
     mosaic,
@@ -87,7 +87,7 @@ def test_cells_beside_hidden_ground_are_left_out():
     wall = field_from(lambda east, north: np.where(np.abs(north) < 1.0, 60.0, 0.0), 101, 20.0)
     pose = candidate_at(0.0, -300.0, 0.0, -10.0, eye_elevation_m=100.0)
     view = Viewer(wall, curvature=Curvature(enabled=False)).ground_view(pose, PHOTO)
-    grid = Grid(-2.0, 700.0, 4.0, 250, 2)
+    grid = CellGrid(-2.0, 700.0, 4.0, 250, 2)
     found = lay(view, np.ones((HEIGHT_PX, WIDTH_PX, 1), dtype=np.uint8), grid)
     _, north_m = grid.middles_m()
     shown_m = north_m[found.is_seen]
@@ -110,7 +110,7 @@ def test_a_pixel_is_as_long_on_level_ground_as_trigonometry_has_it():
     plane = field_from(lambda east, north: 0.0 * east, 81, 25.0)
     pose = candidate_at(0.0, -900.0, 0.0, -10.0, eye_elevation_m=100.0)
     view = Viewer(plane, curvature=Curvature(enabled=False)).ground_view(pose, PHOTO)
-    grid = Grid(-20.0, -380.0, 5.0, 8, 8)
+    grid = CellGrid(-20.0, -380.0, 5.0, 8, 8)
     found = lay(view, np.zeros((HEIGHT_PX, WIDTH_PX, 1), dtype=np.uint8), grid)
     # At 500 m, 100 m below the eye and 1.3 degrees off the axis.
     per_px = np.tan(np.radians(30.0)) / 300.0

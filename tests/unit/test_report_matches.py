@@ -212,18 +212,20 @@ PEAKS = st.lists(st.tuples(st.floats(0.0, LABELS_PX), st.floats(5.0, 300.0)), ma
 
 @given(PEAKS)
 def test_labels_and_leaders_keep_apart(peaks):
-    placed = place_labels([at for at, _ in peaks], [w for _, w in peaks], LABELS_PX, rows=4)
+    placed = place_labels(
+        [at for at, _ in peaks], [w for _, w in peaks], LABELS_PX, rows=4, gap=8.0
+    )
     for label in placed:
-        assert 0.0 <= label.left_px <= label.anchor_px <= label.right_px <= LABELS_PX
+        assert 0.0 <= label.left <= label.anchor <= label.right <= LABELS_PX
         assert 0 <= label.row < 4
     for one, other in combinations(placed, 2):
         if one.row == other.row:
-            assert one.right_px <= other.left_px or other.right_px <= one.left_px
+            assert one.right <= other.left or other.right <= one.left
         low, high = sorted((one, other), key=lambda label: label.row)
         if low.row < high.row:
-            assert not low.left_px <= high.anchor_px <= low.right_px
+            assert not low.left <= high.anchor <= low.right
 
 
 def test_summits_nearer_than_half_a_label_are_both_named():
-    placed = place_labels([342.0, 385.0], [130.0, 140.0], LABELS_PX, rows=6)
+    placed = place_labels([342.0, 385.0], [130.0, 140.0], LABELS_PX, rows=6, gap=8.0)
     assert [label.row for label in placed] == [1, 0]

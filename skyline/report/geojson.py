@@ -1,0 +1,17 @@
+"""The features of GeoJSON (RFC 7946)."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+Json = dict[str, Any]
+
+
+def feature(kind: str, coordinates: Sequence[Any], properties: Mapping[str, Any]) -> Json:
+    """Return a feature of a kind of geometry."""
+    geometry = {"type": kind, "coordinates": coordinates}
+    return {"type": "Feature", "geometry": geometry, "properties": properties}
+
+
+def collection(features: Sequence[Json], **members: Any) -> Json:
+    """Return a collection of features, with further members."""
+    return {"type": "FeatureCollection", **members, "features": features}
