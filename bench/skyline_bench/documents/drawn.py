@@ -133,15 +133,15 @@ def found_diagram(
 
     Each panel has a title and rows with a label and a colour; None takes the next colour.
     """
-    figure = Figure(figsize=(9.0, 4.2), layout="constrained")
-    axes = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
+    figure = Figure(figsize=(4.0 * max(len(panels), 2), 4.2), layout="constrained")
+    axes = figure.subplots(1, len(panels), sharex=True, sharey=True, squeeze=False)[0]
     for axis, (title, some) in zip(axes, panels.items(), strict=True):
         for number, (label, colour, rows) in enumerate(some):
             _draw_found(axis, label, colour or f"C{number}", rows)
         axis.set(xscale="log", xlabel="renderings, or four a place", ylim=(0.0, 1.0))
         axis.set_title(title, fontsize=10)
         axis.grid(alpha=0.3)
-        axis.legend(fontsize=7, loc="lower right")
+        axis.legend(fontsize=7, loc="upper center", bbox_to_anchor=(0.5, -0.15))
     axes[0].set_ylabel("queries found within 200 m")
     return figure
 
