@@ -142,8 +142,8 @@ def _files_in(paths: Iterable[Path]) -> Iterator[Path]:
 def _names_on_input() -> list[Path]:
     """Return the names of files on standard input, as `find` prints them.
 
-    A photo, a list or a trace has none. Raises `InputError` for empty input, and if the first name
-    is not that of a file.
+    A photo, a list or a trace has none. Raises `InputError` for empty input, and if no file
+    has the first name.
     """
     expected = "expected a photo, or names of files, one a line, a list or a trace"
     lines = os.fsdecode(read_bytes(STANDARD, expected)).split("\n")

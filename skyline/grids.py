@@ -119,7 +119,7 @@ def horizon_grid(
 def _seen(
     eyes: _Eyes, look: _Look, first: tuple[int, ...], progress: Progress | None
 ) -> Float32Array | Any:
-    """Return what all samples see (*first, rows, columns), block by block."""
+    """Look from all samples block by block; return (*first, rows, columns)."""
     rows, cols = eyes.grid.shape
     if eyes.grid.chunks is not None:
         return _lazily_seen(eyes, look, first)
@@ -136,7 +136,7 @@ def _seen(
 
 
 def _lazily_seen(eyes: _Eyes, look: _Look, first: tuple[int, ...]) -> Any:
-    """Return what all samples see, as an array of Dask."""
+    """Look from all samples when Dask computes; return its array."""
     dask = library("dask.array", "a DataArray in chunks", "'dask[array]'")
     down, across = eyes.grid.chunks or ((), ())
     rows = dask.arange(eyes.grid.shape[0], chunks=(down,))[:, np.newaxis]

@@ -185,7 +185,7 @@ class _Search:
         return [*rows, about | again | {"equal": _are_equal(one.poses, killed.poses)}]
 
     def _measured(self, retriever: Retriever) -> tuple["_Found", list[dict[str, float]]]:
-        """Return what a search finds, and what it costs each process.
+        """Search; return the places found, and the cost to each process.
 
         Costs are processor seconds and peaks of memory: this process's first, then the workers'.
         """
@@ -202,7 +202,7 @@ class _Search:
         return [_usage(), *(workers[address] for address in sorted(workers))]
 
     def _killed(self, retriever: Retriever, after_s: float) -> "_Found":
-        """Return what a search finds while a worker is killed."""
+        """Search while a worker is killed; return the places found."""
         pids = self._runner.client.run(os.getpid)
         victim = threading.Timer(after_s, os.kill, (min(pids.values()), signal.SIGKILL))
         victim.start()

@@ -111,7 +111,7 @@ def gather_matches(
 
 
 def on_each_terrain(gather: Callable[[str], T], progress: Progress) -> dict[str, T]:
-    """Return what is gathered on each terrain, by name, in a process of its own."""
+    """Gather on each terrain in a process of its own; return results by name."""
     names = [*LEARNED, *HELD_OUT]
     found: dict[str, T] = {}
     for name, one in zip(names, over_processes(gather, names), strict=True):

@@ -389,7 +389,7 @@ class Matcher(Closeable):
     ) -> Posterior:
         """Return the probability that a photo was taken at each place.
 
-        The places are those of the searched area, with an answer or without one. The photo's
+        The map covers the searched area, whether or not there is an answer. The photo's
         skyline is compared with the whole store once more.
 
         Parameters

@@ -16,6 +16,7 @@ from skyline_bench.queries.kinds import make_kind
 from skyline_bench.queries.synthetic import SyntheticQuery, Truth
 from skyline_bench.search.trials import (
     Trial,
+    against_equal,
     against_uniform,
     as_large,
     gain_points,
@@ -312,11 +313,19 @@ def test_adaptive_stores_are_held_to_uniform_ones_of_the_same_matcher():
 
 
 def test_a_plan_is_held_to_the_grid_of_as_many_places():
+    alike = {"group": "all", "matcher": "full", "queries": "plain", "search": "all", "n": 4}
     grids = [
-        {"group": "all", "planner": "uniform", "renderings": number} for number in (50, 108, 400)
+        {**alike, "store": f"grid {number}", "planner": "uniform", "renderings": number}
+        for number in (50, 108, 400)
     ]
-    assert as_large({"renderings": 100}, grids) == grids[1]
-    assert as_large({"renderings": 200}, grids) is None
+    found = {"each_within_200m": "1100"}
+    plan = {**alike, "store": "plan", "planner": "planned", "renderings": 100, **found}
+    assert as_large(plan, grids) == grids[1]
+    assert as_large({**plan, "renderings": 200}, grids) is None
+    assert as_large({**plan, "queries": "bent"}, grids) is None
+    grids[1]["each_within_200m"] = "1000"
+    (held,) = against_equal([*grids, plan])
+    assert (held["store"], held["uniform"], held["gain_points"]) == ("plan", "grid 108", 25.0)
 
 
 def test_only_queries_that_one_store_finds_alone_tell_two_stores_apart():

@@ -51,6 +51,7 @@ _QUICK_QUERIES = 3
 AGAINST_UNIFORM = """store matcher queries km2 n renderings mean_m
     uniform_mean_m=uniform_mean_m,_interpolated gain
     uniform_renderings=uniform_renderings,_interpolated share"""
+AGAINST_EQUAL = "store uniform matcher queries n gain_points half_points=95_%:_±_points"
 _HELP_COLUMNS = 78
 """Help keeps the lines of later paragraphs, and terminals have 80 columns."""
 
@@ -440,6 +441,9 @@ def command_of(name: str, search: Search) -> Callable[..., None]:
         if name == "uniform-adaptive":
             summary["against_uniform"] = trials.against_uniform(rows)
             options.print_rows(summary["against_uniform"], AGAINST_UNIFORM)
+        if name == "placing":
+            summary["against_equal"] = trials.against_equal(rows)
+            options.print_rows(summary["against_equal"], AGAINST_EQUAL)
         write_record(
             record,
             rows,

@@ -171,6 +171,8 @@ CLASSES = {"< 150 m": (0.0, 150.0), "150-400 m": (150.0, 400.0), "> 400 m": (400
 
 _AHEAD = 3.0
 """Difference of scores from which a pose fits clearly better."""
+_SAME = "matcher", "queries", "search"
+"""Columns that are equal in rows of stores that are searched alike."""
 _AS_LARGE = math.log(1.1)
 """Stores are compared as equally large if the logarithms of their places differ by less."""
 _LEAST_SHARE = 1e-9
@@ -259,6 +261,11 @@ def _held(trials: Sequence[Trial]) -> Row:
     return {"posteriors": len(share), **held, "gain_bits": float(np.mean(gain))}
 
 
+def _searched_alike(row: Row, other: Row) -> bool:
+    """Return whether one matcher searched two stores for the same queries, in the same areas."""
+    return all(row[name] == other[name] for name in _SAME)
+
+
 def by_planner(rows: Iterable[Row]) -> tuple[list[Row], list[Row]]:
     """Return the uniform and the adaptive stores of a record.
 
@@ -283,8 +290,7 @@ def against_uniform(rows: Sequence[Row]) -> list[Row]:
     uniform, adaptive = by_planner(rows)
     held: list[Row] = []
     for store in (row for row in rows if row in adaptive):
-        same = ("matcher", "queries", "search")
-        grids = [row for row in uniform if all(row[name] == store[name] for name in same)]
+        grids = [row for row in uniform if _searched_alike(row, store)]
         renderings = [float(row["renderings"]) for row in grids]
         mean_m = [max(float(row["mean_m"]), _LEAST_M) for row in grids]
         own_m = max(float(store["mean_m"]), _LEAST_M)
@@ -292,7 +298,7 @@ def against_uniform(rows: Sequence[Row]) -> list[Row]:
         # Finer grids have smaller errors; where noise says otherwise, the least so far counts.
         falling = np.minimum.accumulate(mean_m).tolist() if mean_m else []
         as_good = interpolated(falling[::-1], renderings[::-1], own_m)
-        names = ("store", *same, "km2", "n", "renderings", "mean_m")
+        names = ("store", *_SAME, "km2", "n", "renderings", "mean_m")
         held.append(
             {name: store[name] for name in names}
             | {
@@ -308,12 +314,26 @@ def against_uniform(rows: Sequence[Row]) -> list[Row]:
 def as_large(plan: Row, rows: Iterable[Row]) -> Row | None:
     """Return the uniform store with a planned one's number of places.
 
-    The numbers differ by a tenth at most; None where there is no such store.
+    It was searched alike, and the numbers differ by a tenth at most; None without such a store.
     """
-    uniform, _ = by_planner(rows)
+    uniform = [row for row in by_planner(rows)[0] if _searched_alike(row, plan)]
     off = [abs(math.log(row["renderings"] / plan["renderings"])) for row in uniform]
     nearest = int(np.argmin(off)) if off else 0
     return uniform[nearest] if off and off[nearest] < _AS_LARGE else None
+
+
+def against_equal(rows: Sequence[Row]) -> list[Row]:
+    """Compare each adaptive store with the uniform one of as many places, where there is one."""
+    held: list[Row] = []
+    for plan in by_planner(rows)[1]:
+        grid = as_large(plan, rows)
+        if grid is not None:
+            gain, half = gain_points(plan, grid)
+            about = {name: plan[name] for name in ("store", *_SAME, "n")}
+            held.append(
+                {**about, "uniform": grid["store"], "gain_points": gain, "half_points": half}
+            )
+    return held
 
 
 def gain_points(plan: Row, grid: Row) -> tuple[float, float]:
