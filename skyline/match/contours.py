@@ -29,9 +29,11 @@ within limits: right places have more than :math:`z_0`, wrong ones less.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from statistics import NormalDist
 
 import cv2
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, IntArray, Rows, UInt8Array
 from skyline.camera import Projection
@@ -271,17 +273,13 @@ def _pieces_of(
 
 def _cut(points: _Points, step_deg: float) -> _Pieces:
     """Return the pieces of ridges along azimuths that are a step apart."""
-    from scipy.ndimage import gaussian_filter1d  # noqa: PLC0415  (slow to load)
-
     least, most = (length / step_deg for length in _RULES.piece_deg)
     parts = [np.zeros((4, 0))]
     for path in _paths(points):
         if len(path) < max(least, _RULES.least_points):
             continue
         along = points[path]
-        column, row = (
-            gaussian_filter1d(px, _RULES.smooth, mode="nearest") for px in (along.column, along.row)
-        )
+        column, row = _smooth(along.column), _smooth(along.row)
         slope_rad = np.arctan2(np.gradient(row), np.gradient(column))
         whole = np.stack([column, row, slope_rad, along.play_px])
         parts += np.array_split(whole, max(1, round(len(path) / most)), axis=1)
@@ -290,6 +288,19 @@ def _cut(points: _Points, step_deg: float) -> _Pieces:
     begin = np.cumsum([0, *lengths])[:-1]
     column, row, slope_rad, _ = np.concatenate(parts, axis=1)
     return _Pieces(column, row, slope_rad, begin, np.array(play_px, dtype=np.intp))
+
+
+def _smooth(px: Float64Array) -> Float64Array:
+    """Return rows or columns smoothed along a ridge."""
+    size = 2 * math.ceil(4.0 * _RULES.smooth) + 1
+    smooth = cv2.GaussianBlur(
+        px[:, np.newaxis], (1, size), 0.0, sigmaY=_RULES.smooth, borderType=cv2.BORDER_REPLICATE
+    )
+    return np.asarray(smooth[:, 0])
+
+
+_normal_deviates = np.vectorize(NormalDist().inv_cdf, otypes=[np.float64])
+"""The normal deviates of probabilities. SciPy's take a tenth of a second to load."""
 
 
 def _paths(points: _Points) -> list[IntArray]:
@@ -361,13 +372,11 @@ def _scores(strengths: Float64Array, play_px: IntArray) -> Float64Array:
     They are normal deviates; NaN at shifts that are neither 0 nor used for chance, and for pieces
     whose chance is not known.
     """
-    from scipy.ndimage import maximum_filter1d  # noqa: PLC0415  (slow to load)
-    from scipy.special import ndtri  # noqa: PLC0415
-
     away = np.abs(np.arange(len(strengths)) - _RULES.most_shift_px)
     scores = np.full(strengths.shape, np.nan)
     for piece, play in enumerate(play_px):
-        best = maximum_filter1d(strengths[:, piece], 2 * play + 1, mode="constant", cval=-np.inf)
+        padded = np.pad(strengths[:, piece], play, constant_values=-np.inf)
+        best = sliding_window_view(padded, 2 * play + 1).max(axis=1)
         # What may lie on an edge by its own errors is no chance.
         is_chance = (away > 2 * play) & (away <= away[0] - play)
         known = np.flatnonzero(np.isfinite(best) & (is_chance | (away == 0)))
@@ -375,5 +384,5 @@ def _scores(strengths: Float64Array, play_px: IntArray) -> Float64Array:
             continue
         ordered = np.sort(best[known])
         rank = sum(np.searchsorted(ordered, best[known], side) for side in ("left", "right"))
-        scores[known, piece] = ndtri(0.5 * rank / len(known))
+        scores[known, piece] = _normal_deviates(0.5 * rank / len(known))
     return scores

@@ -249,13 +249,12 @@ class _Extraction:
 
         Both arrays cover the given columns of the photo.
         """
-        from scipy.ndimage import uniform_filter1d  # noqa: PLC0415  (slow to load)
-
         at_work = self._work_columns()[columns]
         whole = np.arange(len(path))
         row = (np.interp(at_work, whole, path) + 0.5) / self._scale - 0.5
         sure = _trust_along(self.share, path)
-        smooth = uniform_filter1d(sure, _TRUST.smoothed_px, mode="nearest")
+        window = (1, _TRUST.smoothed_px)
+        smooth = cv2.blur(sure[:, np.newaxis], window, borderType=cv2.BORDER_REPLICATE)[:, 0]
         smooth = np.minimum(smooth, np.where(sure > 0.0, 1.0, 0.0))
         refined = _refined(self.photo[:, columns], row, self._scale)
         return refined, np.interp(at_work, whole, smooth)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from datetime import datetime
 
+import cv2
 import numpy as np
 from PIL import Image, ImageOps
 from PIL.ExifTags import IFD, Base
@@ -76,8 +77,8 @@ def shades_of(rgb: UInt8Array) -> UInt8Array:
     height, width = rgb.shape[:2]
     scale = min(1.0, _SHADES_PX / max(height, width))
     size = max(1, round(width * scale)), max(1, round(height * scale))
-    grey = Image.fromarray(rgb).convert("L").resize(size, Image.Resampling.BOX)
-    return np.asarray(grey, dtype=np.uint8)
+    small = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA)
+    return np.asarray(cv2.cvtColor(small, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
 
 
 def read_photo(
@@ -108,7 +109,7 @@ def read_photo(
     with opened_image(path) as image:
         full_px = image.size
         shrink_if_large(name, image)
-        upright = ImageOps.exif_transpose(image)
+        upright = _upright(image)
         width, height = _upright_size(full_px, upright)
         exif = image.getexif()
         xmp = xmp_of(image)
@@ -131,6 +132,12 @@ def read_photo(
         known,
         name,
     )
+
+
+def _upright(image: Image.Image) -> Image.Image:
+    """Return an image turned as its EXIF notes; not a copy, unless it is turned."""
+    is_turned = image.getexif().get(Base.Orientation, 1) != 1
+    return ImageOps.exif_transpose(image) if is_turned else image
 
 
 def _upright_size(full_px: tuple[int, int], upright: Image.Image) -> tuple[int, int]:

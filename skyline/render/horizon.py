@@ -5,7 +5,9 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import TypeVar
@@ -14,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from skyline.arrays import Int64Array
-from skyline.errors import InputError
+from skyline.errors import ContextError, InputError
 from skyline.geodesy.earth import Curvature
 from skyline.render.context import RenderThread
 from skyline.render.field_windows import GpuLimits
@@ -111,6 +113,9 @@ class RenderedScene:
         self._piece = max(1, 12_000 // config.width)
         fields = [terrain] if surface is None else [terrain, surface]
         self._renderers = self._run(lambda: [HorizonRenderer(one, config) for one in fields])
+        # Loading takes a second on a CPU. A search reads its photo and retrieves meanwhile.
+        self._loading = threading.Thread(target=self._load, name="loading")
+        self._loading.start()
 
     @cached_property
     def edge(self) -> DataEdge | None:
@@ -141,9 +146,16 @@ class RenderedScene:
 
     def close(self) -> None:
         """Free the GPU memory of the scene; closing twice is fine."""
+        self._loading.join()
         for renderer in self._renderers:
             self._run(renderer.close)
         self._renderers.clear()
+
+    def _load(self) -> None:
+        for renderer in self._renderers:
+            # What fails here fails again, and is raised, when the scene renders.
+            with suppress(ContextError, OSError, MemoryError):
+                self._run(renderer.load)
 
     def _run(self, task: Callable[[], _T], urgent: bool = False) -> _T:
         return task() if self._thread is None else self._thread.run(task, urgent)

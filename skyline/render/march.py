@@ -266,6 +266,12 @@ class ColumnRenderer(Renderer):
         self._resident = {}
         super().close()
 
+    @in_context
+    def load(self) -> None:
+        """Load the field onto the GPU if it is one window; windows of larger fields wait."""
+        if len(self._windows) == 1:
+            self._load(self._windows[0])
+
     @property
     def is_resident(self) -> bool:
         """Whether the whole field stays on the GPU.

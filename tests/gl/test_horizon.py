@@ -10,6 +10,7 @@ from scenes import at_m, field_of
 
 from skyline.errors import ContextError, InputError
 from skyline.geodesy.earth import Curvature
+from skyline.render.context import held_context
 from skyline.render.horizon import HorizonRenderer, RenderConfig
 from skyline.skylines import FLAG_HOLE, FLAG_TRUNCATED, Views, columns_u
 from skyline.terrain.viewpoints import Viewpoints
@@ -36,6 +37,19 @@ def test_equals_the_oracle_flags_and_depths_too(rough, is_hardware):
     # an edge: 5e-5 in one column of 7,680.
     rtol = 1e-4 if is_hardware else 1e-5
     np.testing.assert_allclose(views.depth_m, truth.depth_m, rtol=rtol)
+
+
+def test_a_field_loaded_before_is_not_loaded_again(rough):
+    field, eyes = rough
+    with HorizonRenderer(field, RenderConfig(160)) as renderer:
+        renderer.load()
+        with held_context() as context:
+            loaded = [one for (of, _), one in context.shared.items() if of == id(field)]
+            views = renderer.render(eyes)
+            again = [one for (of, _), one in context.shared.items() if of == id(field)]
+    assert len(loaded) == 1
+    assert again == loaded
+    np.testing.assert_array_equal(views.v, render(field, eyes).v)
 
 
 def test_single_headings(rough):
