@@ -14,7 +14,7 @@ from skyline.files import write_whole
 from skyline_bench.measuring import Row
 from skyline_bench.options import table_text
 from skyline_bench.records import read_record
-from skyline_bench.search.commands import AGAINST_UNIFORM, SEARCHES
+from skyline_bench.search.commands import AGAINST_EQUAL, SEARCHES
 from skyline_bench.search.trials import ALL, by_planner
 
 PAGE = "figures.md"
@@ -87,8 +87,8 @@ def _tables(record: Mapping[str, Any]) -> Iterator[str]:
         yield table_text(record["rows"])
         return
     yield table_text(search.shown(record["rows"]), search.columns)
-    if compared := record.get("summary", {}).get("against_uniform"):
-        yield table_text(compared, AGAINST_UNIFORM)
+    if compared := record.get("summary", {}).get("against_equal"):
+        yield table_text(compared, AGAINST_EQUAL)
 
 
 def diagram_of(rows: Sequence[Row]) -> Figure | None:

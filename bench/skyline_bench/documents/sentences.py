@@ -12,7 +12,7 @@ from skyline_bench.documents.tables import COMPARED, DEMS, FOUR_VIEWS, way_of
 from skyline_bench.documents.writing import Sentence
 from skyline_bench.measuring import Row
 from skyline_bench.queries.manifest import LOCATE
-from skyline_bench.search.trials import ALL, CLASSES, THIRDS, against_uniform
+from skyline_bench.search.trials import ALL, CLASSES, THIRDS, against_equal
 
 _NEAR, _BETWEEN, _FAR = CLASSES
 _DEFAULT = "planned-100000"
@@ -73,26 +73,23 @@ def _elsewhere(results: Results) -> list[str]:
 
 
 def _gains(results: Results) -> list[str]:
-    """Compare the paper's plans with uniform grids.
-
-    These are ratios of errors, plan over grid, and the numbers of plans that gain.
-    """
+    """Return the ratios of errors, plan over grid, and the numbers of plans that gain."""
     records = [record for _, planner, record in COMPARED if planner != "ours"]
-    gains = {
+    ratios = {
         group: {
-            (held["store"], record): held["gain"]
+            (held["store"], record): held["error_ratio"]
             for record in records
-            for held in against_uniform(
+            for held in against_equal(
                 [{**row, "group": ALL} for row in results.rows(record, group=group)]
             )
         }
         for group in (ALL, THIRDS[-1], THIRDS[0])
     }
     plans = "lpov-36px", "lpov-120px"
-    over = [1.0 / gains[ALL][plan, record] for plan in plans for record in records]
+    over = [ratios[ALL][plan, record] for plan in plans for record in records]
     figures = [f"{error:.2f}" for error in over]
     for group in (THIRDS[-1], THIRDS[0]):
-        figures += counts(sum(gain > 1.0 for gain in gains[group].values()), len(gains[group]))
+        figures += counts(sum(one < 1.0 for one in ratios[group].values()), len(ratios[group]))
     return figures
 
 

@@ -28,7 +28,6 @@ from skyline_bench.search.trials import (
     as_large,
     by_planner,
     gain_points,
-    interpolated,
 )
 
 # --- skylines -------------------------------------------------------------------------------
@@ -138,19 +137,18 @@ COMPARED = (
 
 
 def adaptive(results: Results) -> Table:
-    """Compare each adaptive store with an equally large uniform grid.
+    """Compare each adaptive store with the uniform grid of as many renderings.
 
-    If such a grid was searched for the same queries, the two tie unless their difference is greater
-    than its 95 % interval. Otherwise its share is interpolated between the grids that were
-    searched, and the two tie if the share is within the adaptive store's 95 % interval.
+    The two tie unless their difference is greater than its 95 % interval.
     """
     table = Table()
     for terrain, planner, record in COMPARED:
         rows = results.rows(record)
         for plan in by_planner(rows)[1]:
-            held = _held_to_equal(plan, rows) or _held_to_others(plan, rows)
-            if held is None:
+            grid = as_large(plan, rows)
+            if grid is None:
                 continue
+            gain, half = gain_points(plan, grid)
             table.append(
                 {
                     "terrain": linked(terrain, record),
@@ -160,46 +158,17 @@ def adaptive(results: Results) -> Table:
                     "n": count(plan["n"]),
                     "renderings": count(plan["renderings"]),
                     "adaptive": with_interval(plan),
-                    **held,
+                    "uniform": percent(grid["within_200m"]),
+                    "of renderings": count(grid["renderings"]),
+                    "difference, points": f"{gain:+.1f} (± {half:.1f})",
+                    "better": "tie"
+                    if abs(gain) <= half
+                    else "adaptive"
+                    if gain > 0.0
+                    else "uniform",
                 }
             )
     return table
-
-
-def _held_to_equal(plan: Row, rows: Sequence[Row]) -> Row | None:
-    """Compare a plan with an equally large grid, if any was searched."""
-    grid = as_large(plan, rows)
-    if grid is None or "each_within_200m" not in plan:
-        return None
-    gain, half = gain_points(plan, grid)
-    return {
-        "uniform": percent(grid["within_200m"]),
-        "measured on": f"{count(grid['renderings'])}",
-        "difference, points": f"{gain:+.1f} (± {half:.1f})",
-        "better": "tie" if abs(gain) <= half else "adaptive" if gain > 0.0 else "uniform",
-    }
-
-
-def _held_to_others(plan: Row, rows: Sequence[Row]) -> Row | None:
-    """Compare a plan with the interpolation between two grids, or return None."""
-    grids = by_planner(rows)[0]
-    x = [grid["renderings"] for grid in grids]
-    uniform = interpolated(x, [grid["within_200m"] for grid in grids], plan["renderings"])
-    if uniform is None:
-        return None
-    low = plan["within_200m_low"]
-    high = plan["within_200m_high"]
-    after = int(np.searchsorted(x, plan["renderings"]))
-    ends = [
-        f"{percent(grid['within_200m'])} of {count(grid['renderings'])}"
-        for grid in grids[max(after - 1, 0) : after + 1]
-    ]
-    return {
-        "uniform": percent(uniform),
-        "measured on": f"between {' and '.join(ends)}",
-        "difference, points": f"{100.0 * (plan['within_200m'] - uniform):+.1f}",
-        "better": "adaptive" if uniform < low else "uniform" if uniform > high else "tie",
-    }
 
 
 def planning(results: Results) -> Table:

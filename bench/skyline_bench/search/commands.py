@@ -37,7 +37,7 @@ from skyline_bench.queries import kinds
 from skyline_bench.queries.synthetic import Truth
 from skyline_bench.records import write_record
 from skyline_bench.search import trials
-from skyline_bench.search.stores import UNIFORM, BuiltStore, StoreSpec, middle_deg
+from skyline_bench.search.stores import UNIFORM, BuiltStore, StoreSpec, equal_grid, middle_deg
 
 _GRIDS_M = (1024.0, 512.0, 256.0, 128.0)
 _THRESHOLDS_PX = (12.0, 6.0, 3.0)
@@ -45,13 +45,9 @@ _THRESHOLDS_PX = (12.0, 6.0, 3.0)
 _FOUND = "km2 n within_200m within_1km median_m mean_m answered precision query_s"
 _QUICK_M = 3000.0
 """Sides of the square that is searched by default with ``--quick``."""
-_QUICK_GRIDS_M = (256.0, 64.0)
-"""Grids with fewer and with more renderings than the first plans have in this square."""
 _QUICK_QUERIES = 3
-AGAINST_UNIFORM = """store matcher queries km2 n renderings mean_m
-    uniform_mean_m=uniform_mean_m,_interpolated gain
-    uniform_renderings=uniform_renderings,_interpolated share"""
-AGAINST_EQUAL = "store uniform matcher queries n gain_points half_points=95_%:_±_points"
+AGAINST_EQUAL = """store uniform matcher queries n gain_points half_points=95_%:_±_points
+    error_ratio"""
 _HELP_COLUMNS = 78
 """Help keeps the lines of later paragraphs, and terminals have 80 columns."""
 
@@ -72,6 +68,7 @@ class Search:
     queries: int = 100  # Number of queries of each kind
     areas_km2: tuple[float, ...] = ()  # Squares that are searched, beside the whole area
     by_thirds: bool = False  # Whether queries are grouped by thirds of their distances
+    holds_plans_to_grids: bool = False  # Whether each plan is compared with an equally large grid
     with_posteriors: bool = False  # Whether posteriors are held to the true places
     in_middle: bool = True  # Whether the area is by default 5 x 10 km in the DEM's middle
     # West, south, east, north of the area; by default all of the DEM, or what a given store covers.
@@ -136,6 +133,20 @@ class Search:
                 "give a smaller one, or larger --bounds"
             )
 
+    def _built(self, terrain: HeightField, folder: Path, progress: Progress) -> list[BuiltStore]:
+        """Return the stores, each plan with the grid that it is held to."""
+        bounds_deg = self.area_deg()
+        stores = [spec.build(terrain, folder, bounds_deg, progress) for spec in self.stores]
+        if not self.holds_plans_to_grids:
+            return stores
+        with_grids = list[BuiltStore]()
+        for store in stores:
+            with_grids.append(store)
+            if store.is_plan and not any(store.is_held_to(one) for one in stores):
+                grid = equal_grid(store, terrain, bounds_deg)
+                with_grids.append(grid.build(terrain, folder, bounds_deg, progress))
+        return with_grids
+
     def whole_km2(self, terrain: HeightField) -> float:
         """Return the size of the area."""
         return square_km(map_bounds(terrain, self.area_deg()))
@@ -156,7 +167,7 @@ class Search:
         diagonal. Only right candidates have heading errors.
         """
         bounds_deg = self.area_deg()
-        stores = [spec.build(terrain, folder, bounds_deg, progress) for spec in self.stores]
+        stores = self._built(terrain, folder, progress)
         area_m = map_bounds(terrain, bounds_deg)
         whole_km2 = self.whole_km2(terrain)
         miss_m = math.hypot(area_m[2] - area_m[0], area_m[3] - area_m[1]) / 2.0
@@ -225,17 +236,14 @@ def _planned(*numbers: int | None) -> list[StoreSpec]:
 
 
 def _few(stores: Sequence[StoreSpec]) -> list[StoreSpec]:
-    """Return the first store of each planner and kind.
-
-    Two grids replace a uniform grid that is compared with a plan.
-    """
+    """Return the first store of each planner and kind; no grid beside a plan."""
     first = {(spec.planner, spec.holds): spec for spec in reversed(stores)}
     planned = {holds for planner, holds in first if planner != UNIFORM}
-    few = []
-    for (planner, holds), spec in reversed(first.items()):
-        is_compared = planner == UNIFORM and holds in planned
-        few += _grids(holds, _QUICK_GRIDS_M) if is_compared else [spec]
-    return few
+    return [
+        spec
+        for (planner, holds), spec in reversed(first.items())
+        if planner != UNIFORM or holds not in planned
+    ]
 
 
 def _plans(strategies: Names, thresholds_px: Floats, seed: int = 0) -> list[StoreSpec]:
@@ -282,6 +290,7 @@ SEARCHES: Mapping[str, Search] = {
         ),
         (trials.PAPER, FULL),
         by_thirds=True,
+        holds_plans_to_grids=True,
     ),
     "placing": Search(
         """Placing: how many queries uniform grids and planned places find.
@@ -293,6 +302,7 @@ SEARCHES: Mapping[str, Search] = {
         lost""",
         (*_grids(spacings_m=(80.0, 40.0, 20.0)), *_planned(2_000, 8_000, 32_000, None)),
         queries=150,
+        holds_plans_to_grids=True,
         in_middle=False,
     ),
     "same-place": Search(
@@ -438,10 +448,7 @@ def command_of(name: str, search: Search) -> Callable[..., None]:
             rows = [{**row, "strange": [Path(path).name for path in strange]} for row in rows]
         options.print_rows(search.shown(rows), search.columns)
         summary = {}
-        if name == "uniform-adaptive":
-            summary["against_uniform"] = trials.against_uniform(rows)
-            options.print_rows(summary["against_uniform"], AGAINST_UNIFORM)
-        if name == "placing":
+        if search.holds_plans_to_grids:
             summary["against_equal"] = trials.against_equal(rows)
             options.print_rows(summary["against_equal"], AGAINST_EQUAL)
         write_record(

@@ -23,7 +23,7 @@ from skyline.store.read import open_store, parts_folder
 from skyline.survey.expected_losses import expected_finds
 from skyline.survey.plans import map_bounds, uniform_grid
 from skyline.terrain.heightfield import HeightField
-from skyline_bench.measuring import timed
+from skyline_bench.measuring import Row, square_km, timed
 
 _log = logging.getLogger(__name__)
 
@@ -31,6 +31,9 @@ UNIFORM = "uniform"
 """The planner of uniform grids; the paper's planners are named by their strategy."""
 PLANNED = "planned"
 """The planner of places."""
+
+_AS_MANY = math.log(1.1)
+"""Places count as equally many if the logarithms of their numbers differ by less."""
 
 _NOTE = ".build.json"
 """The suffix of the file beside a store that notes its settings and its times."""
@@ -138,7 +141,7 @@ class BuiltStore:
     holds: str  # Renderings or places
     bounds_deg: Bounds | None  # Around the boxes it was built for; None for all of the DEM
     digest: str
-    figures: dict[str, object]  # The columns of rows that describe the store
+    figures: Row  # The columns of rows that describe the store
 
     @classmethod
     def read(cls, spec: StoreSpec, path: Path) -> "BuiltStore":
@@ -170,6 +173,21 @@ class BuiltStore:
             bounds_deg = min(west), min(south), max(east), max(north)
         return cls(spec, path, holds, bounds_deg, digest, figures)
 
+    @property
+    def places(self) -> float:
+        """How many places it has; four renderings count as one."""
+        return float(self.figures["places"])
+
+    @property
+    def is_plan(self) -> bool:
+        """Whether a planner chose its places, and chooses them again elsewhere."""
+        return self.spec.path is None and self.spec.planner != UNIFORM
+
+    def is_held_to(self, other: "BuiltStore") -> bool:
+        """Return whether another store is a uniform grid of as many places."""
+        is_grid = other.figures["planner"] == UNIFORM and other.holds == self.holds
+        return is_grid and are_as_many(self.places, other.places)
+
     def claimed_loss(self) -> float:
         """Return the share of views expected to be lost; NaN for renderings."""
         if self.holds != PLACES:
@@ -177,6 +195,20 @@ class BuiltStore:
         with open_store(self.path) as store:
             places = Places.concatenate(list(store.places().blocks()))
         return 1.0 - sum(share * found for _, share, found in expected_finds(places))
+
+
+def are_as_many(places: float, others: float) -> bool:
+    """Return whether two stores are equally large, to a tenth."""
+    return abs(math.log(places / others)) < _AS_MANY
+
+
+def equal_grid(plan: BuiltStore, terrain: HeightField, bounds_deg: Bounds | None) -> StoreSpec:
+    """Return the uniform grid with as many places as a planned store."""
+    area_m = map_bounds(terrain, bounds_deg)
+    spacing_m = 1e3 * math.sqrt(square_km(area_m) / plan.places)
+    # Voids have no places, and the edges of a small area may have a row too many.
+    found = len(uniform_grid(terrain, spacing_m, area_m))
+    return StoreSpec(plan.holds, round(spacing_m * math.sqrt(found / plan.places), 1))
 
 
 def middle_deg(

@@ -25,7 +25,7 @@ from skyline.terrain.heightfield import HeightField
 from skyline_bench.measuring import Row, timed
 from skyline_bench.queries.kinds import Query, distance_m
 from skyline_bench.queries.synthetic import QueryConfig, SyntheticQuery, Truth
-from skyline_bench.search.stores import UNIFORM
+from skyline_bench.search.stores import UNIFORM, are_as_many
 
 PAPER = "paper"
 """The paper's matcher."""
@@ -173,12 +173,10 @@ _AHEAD = 3.0
 """Difference of scores from which a pose fits clearly better."""
 _SAME = "matcher", "queries", "search"
 """Columns that are equal in rows of stores that are searched alike."""
-_AS_LARGE = math.log(1.1)
-"""Stores are compared as equally large if the logarithms of their places differ by less."""
+_LEAST_M = 1e-3
+"""A smaller mean error counts as this."""
 _LEAST_SHARE = 1e-9
 """Cells that are less probable than this share of the mean cell count as this."""
-_LEAST_M = 1e-3
-"""Smaller errors count as this, so that they have a logarithm."""
 
 
 def groups(distance_m: Sequence[float], by_thirds: bool) -> Mapping[str, Sequence[int]]:
@@ -276,54 +274,26 @@ def by_planner(rows: Iterable[Row]) -> tuple[list[Row], list[Row]]:
     return uniform, [row for row in every if row["planner"] != UNIFORM]
 
 
-def against_uniform(rows: Sequence[Row]) -> list[Row]:
-    """Compare each adaptive store with uniform stores searched alike.
-
-    The same matcher searches them for the same queries, in areas of the same size.
-    ``uniform_mean_m`` is the mean error that a uniform store of as many renderings would have, and
-    ``gain`` is that error over the adaptive store's error. ``uniform_renderings`` is how many
-    renderings a uniform store would need to be as accurate, and ``share`` is the adaptive store's
-    number of renderings over that number.
-    They are interpolated between the uniform stores on logarithmic axes, and None outside their
-    range.
-    """
-    uniform, adaptive = by_planner(rows)
-    held: list[Row] = []
-    for store in (row for row in rows if row in adaptive):
-        grids = [row for row in uniform if _searched_alike(row, store)]
-        renderings = [float(row["renderings"]) for row in grids]
-        mean_m = [max(float(row["mean_m"]), _LEAST_M) for row in grids]
-        own_m = max(float(store["mean_m"]), _LEAST_M)
-        uniform_m = interpolated(renderings, mean_m, float(store["renderings"]))
-        # Finer grids have smaller errors; where noise says otherwise, the least so far counts.
-        falling = np.minimum.accumulate(mean_m).tolist() if mean_m else []
-        as_good = interpolated(falling[::-1], renderings[::-1], own_m)
-        names = ("store", *_SAME, "km2", "n", "renderings", "mean_m")
-        held.append(
-            {name: store[name] for name in names}
-            | {
-                "uniform_mean_m": uniform_m,
-                "gain": None if uniform_m is None else uniform_m / own_m,
-                "uniform_renderings": as_good,
-                "share": None if as_good is None else store["renderings"] / as_good,
-            }
-        )
-    return held
-
-
 def as_large(plan: Row, rows: Iterable[Row]) -> Row | None:
-    """Return the uniform store with a planned one's number of places.
+    """Return the uniform store with a planned one's number of places, searched alike.
 
-    It was searched alike, and the numbers differ by a tenth at most; None without such a store.
+    It is the nearest in number; None where there is none.
     """
-    uniform = [row for row in by_planner(rows)[0] if _searched_alike(row, plan)]
-    off = [abs(math.log(row["renderings"] / plan["renderings"])) for row in uniform]
-    nearest = int(np.argmin(off)) if off else 0
-    return uniform[nearest] if off and off[nearest] < _AS_LARGE else None
+    places = plan["renderings"]
+    equal = [
+        row
+        for row in by_planner(rows)[0]
+        if _searched_alike(row, plan) and are_as_many(places, row["renderings"])
+    ]
+    return min(equal, key=lambda row: abs(row["renderings"] - places), default=None)
 
 
 def against_equal(rows: Sequence[Row]) -> list[Row]:
-    """Compare each adaptive store with the uniform one of as many places, where there is one."""
+    """Compare each adaptive store with the uniform one of as many places, where there is one.
+
+    ``gain_points`` is how many points more of the queries the adaptive store finds, with its 95 %
+    interval, ``half_points`` to either side. ``error_ratio`` is its mean error over the grid's.
+    """
     held: list[Row] = []
     for plan in by_planner(rows)[1]:
         grid = as_large(plan, rows)
@@ -331,7 +301,13 @@ def against_equal(rows: Sequence[Row]) -> list[Row]:
             gain, half = gain_points(plan, grid)
             about = {name: plan[name] for name in ("store", *_SAME, "n")}
             held.append(
-                {**about, "uniform": grid["store"], "gain_points": gain, "half_points": half}
+                {
+                    **about,
+                    "uniform": grid["store"],
+                    "gain_points": gain,
+                    "half_points": half,
+                    "error_ratio": plan["mean_m"] / max(grid["mean_m"], _LEAST_M),
+                }
             )
     return held
 
@@ -344,13 +320,3 @@ def gain_points(plan: Row, grid: Row) -> tuple[float, float]:
     gains = np.array([int(one) for one in plan["each_within_200m"]])
     gains -= np.array([int(one) for one in grid["each_within_200m"]])
     return 100.0 * float(gains.mean()), 196.0 * float(gains.std()) / math.sqrt(len(gains))
-
-
-def interpolated(x: Sequence[float], y: Sequence[float], at: float) -> float | None:
-    """Return y at a place between increasing x, on logarithmic axes.
-
-    None outside the range of x.
-    """
-    if not x or not x[0] <= at <= x[-1]:
-        return None
-    return float(np.exp(np.interp(np.log(at), np.log(x), np.log(y))))
