@@ -17,7 +17,6 @@ from skyline_bench.queries.synthetic import SyntheticQuery, Truth
 from skyline_bench.search.trials import (
     Trial,
     against_equal,
-    against_uniform,
     as_large,
     gain_points,
     summarize,
@@ -109,28 +108,31 @@ def test_uniform_and_adaptive_stores_are_compared(run, dem):
         "--queries", 3, "--matcher", "paper", "--matcher", "unrefined",
     )  # fmt: skip
     rows = [(row["store"], row["matcher"], row["group"]) for row in record["rows"]]
+    held = record["summary"]["against_equal"]
+    assert [row["store"] for row in held] == ["lpov-40px", "planned-400"]
     assert rows == [
         (store, matcher, group)
         for store, matcher in (
             ("uniform-600", "paper"),
             ("lpov-40px", "paper"),
+            (held[0]["uniform"], "paper"),
             ("places-600", "unrefined"),
             ("planned-400", "unrefined"),
+            (held[1]["uniform"], "unrefined"),
         )
         for group in ("close", "medium", "far", "all")
     ]
-    adaptive = [row["store"] for row in record["summary"]["against_uniform"]]
-    assert adaptive == ["lpov-40px", "planned-400"]
+    places = {row["store"]: row["places"] for row in record["rows"]}
+    for row in held:
+        assert places[row["uniform"]] == pytest.approx(places[row["store"]], rel=0.1)
 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("refined_quickly")
 def test_placing_shows_what_is_claimed_and_what_is_lost(run, dem, tmp_path):
-    record = run(
-        "placing", dem, "--spacing", 125, "--places", 600, "--queries", 2, "--folder", tmp_path
-    )
-    grid, planned = (row for row in record["rows"] if row["group"] == "all")
-    assert (grid["store"], planned["store"]) == ("places-125", "planned-600")
+    record = run("placing", dem, "--places", 600, "--queries", 2, "--folder", tmp_path)
+    planned, grid = (row for row in record["rows"] if row["group"] == "all")
+    assert (planned["store"], grid["planner"]) == ("planned-600", "uniform")
     # The number is of the lattices that suit viewpoints spread over the area.
     assert planned["places"] == pytest.approx(600, rel=0.2)
     for row in (grid, planned):
@@ -285,47 +287,21 @@ def test_a_probability_is_measured(run, dem, store):
     assert row["gain_bits"] > 0.0
 
 
-def row(store, matcher, renderings, mean_m, group="all"):
-    planner = store.split("-")[0]
-    return {"store": store, "planner": planner, "matcher": matcher, "queries": "plain",
-        "search": "all", "km2": 50.0, "n": 100, "group": group, "renderings": renderings,
-        "mean_m": mean_m}  # fmt: skip
-
-
-def test_adaptive_stores_are_held_to_uniform_ones_of_the_same_matcher():
-    rows = [
-        row("uniform-512", "paper", 100, 1600.0),
-        row("uniform-128", "paper", 1600, 100.0),
-        row("uniform-128", "paper", 1600, 1.0, "close"),
-        row("uniform-512", "full", 100, 400.0),
-        row("lpov-400", "paper", 400, 200.0),
-        row("lpov-9000", "paper", 9000, 10.0),
-        row("planned", "full", 100, 400.0),
-    ]
-    half_way, beyond, same = against_uniform(rows)
-    # Half way from 100 to 1600 renderings, and so from 1600 to 100 m.
-    assert half_way["uniform_mean_m"] == pytest.approx(400.0)
-    assert half_way["gain"] == pytest.approx(2.0)
-    assert half_way["uniform_renderings"] == pytest.approx(800.0)
-    assert half_way["share"] == pytest.approx(0.5)
-    assert (beyond["uniform_mean_m"], beyond["share"]) == (None, None)
-    assert (same["gain"], same["share"]) == pytest.approx((1.0, 1.0))
-
-
 def test_a_plan_is_held_to_the_grid_of_as_many_places():
     alike = {"group": "all", "matcher": "full", "queries": "plain", "search": "all", "n": 4}
     grids = [
         {**alike, "store": f"grid {number}", "planner": "uniform", "renderings": number}
         for number in (50, 108, 400)
     ]
-    found = {"each_within_200m": "1100"}
+    found = {"each_within_200m": "1100", "mean_m": 30.0}
     plan = {**alike, "store": "plan", "planner": "planned", "renderings": 100, **found}
     assert as_large(plan, grids) == grids[1]
     assert as_large({**plan, "renderings": 200}, grids) is None
     assert as_large({**plan, "queries": "bent"}, grids) is None
-    grids[1]["each_within_200m"] = "1000"
+    grids[1].update(each_within_200m="1000", mean_m=40.0)
     (held,) = against_equal([*grids, plan])
     assert (held["store"], held["uniform"], held["gain_points"]) == ("plan", "grid 108", 25.0)
+    assert held["error_ratio"] == 0.75
 
 
 def test_only_queries_that_one_store_finds_alone_tell_two_stores_apart():
