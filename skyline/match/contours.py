@@ -39,6 +39,7 @@ from skyline.arrays import BoolArray, Float32Array, Float64Array, IntArray, Rows
 from skyline.camera import Projection
 from skyline.geodesy.earth import Curvature
 from skyline.match.solver import TEMPERATURE
+from skyline.photo.image import made_smaller
 from skyline.photo.skyline import PhotoSkyline
 from skyline.pose import ROUGHLY_WITHIN_M, SAME_VIEW_DEG, Pose
 from skyline.terrain.heightfield import HeightField
@@ -53,6 +54,9 @@ class _Rules:
     measured.
     """
 
+    longer_px: int = 800
+    """Longer side of the shades: a pixel of 0.07 degrees is 10 m at 8 km, about the height error of
+    ridges there."""
     columns: int = 2
     """Columns from one profile of the terrain to the next."""
     linked_px: float = 4.0
@@ -162,9 +166,9 @@ def weighed_by_contours(
     best = candidates[0]
     if best.confidence_1km is None or best.confidence is None or not best.refined:
         return tuple(candidates)
-    if photo.shades is None or photo.projection is not Projection.PERSPECTIVE:
+    if photo.picture is None or photo.projection is not Projection.PERSPECTIVE:
         return tuple(candidates)
-    gradients = _gradients_of(photo.shades, photo)
+    gradients = _gradients_of(_shades_of(photo.picture), photo)
     # Where areas overlap, poses near the best one may be on another terrain model.
     near = [one for one in candidates if one.area == best.area and _is_of_answer(one, best)]
     factors = [
@@ -202,6 +206,12 @@ def _factor(deviations: float | None) -> float:
         return 1.0
     change = _ODDS.slope * (deviations - _ODDS.even)
     return math.exp(min(max(change, -_ODDS.most), _ODDS.most))
+
+
+def _shades_of(picture: UInt8Array) -> UInt8Array:
+    """Return a photo's grey values (h, w)."""
+    small = made_smaller(picture, _RULES.longer_px)
+    return np.asarray(cv2.cvtColor(small, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
 
 
 def _gradients_of(shades: UInt8Array, photo: PhotoSkyline) -> _Gradients:

@@ -33,6 +33,7 @@ from skyline.match.screen import ReportProgress, silent
 from skyline.match.shard import Shard
 from skyline.match.verdict import Verdict, candidate_reached, too_little
 from skyline.match.walk import check_times, joined
+from skyline.photo.farther import farther_skylines
 from skyline.photo.image import Picture
 from skyline.photo.read import named_skyline
 from skyline.photo.skyline import PhotoSkyline
@@ -281,6 +282,25 @@ class Matcher(Closeable):
         started = time.perf_counter()
         _check_top(top)
         name, skyline = named_skyline(photo, fov_deg)
+        result = self._searched(skyline, top, narrowing, report_progress)
+        if result.answer is None and self._method.renders:
+            # What hides in haze may be the skyline that the photo has.
+            others = (
+                self._searched(farther, top, narrowing, report_progress)
+                for farther in farther_skylines(skyline)
+            )
+            result = _surest(result, others)
+        return replace(result, seconds=time.perf_counter() - started, name=name)
+
+    def _searched(
+        self,
+        skyline: PhotoSkyline,
+        top: int,
+        narrowing: Narrowing | None,
+        report_progress: ReportProgress,
+    ) -> MatchResult:
+        """Return the result of one skyline's search; see `match`."""
+        started = time.perf_counter()
         candidates: tuple[Pose, ...] = ()
         verdict = Verdict(too_little(skyline))
         if verdict.refusal is None:
@@ -292,12 +312,11 @@ class Matcher(Closeable):
                 other = self._method.other_projection(rays, candidates[0], prior)
             verdict = Verdict.of_search(candidates, other, self._config, skyline, rays)
         return MatchResult(
-            replace(skyline, shades=None),
+            replace(skyline, picture=None),
             candidates,
             time.perf_counter() - started,
             verdict.refusal,
             verdict.within_m,
-            name,
             narrowing=narrowing or Narrowing(),
             crs=self.crs,
         )
@@ -495,7 +514,7 @@ class Matcher(Closeable):
         for (name, skyline), narrowing in zip(named, narrowings, strict=True):
             refusal = too_little(skyline)
             known = None if refusal else self._rays_and_prior(skyline, narrowing)
-            read.append(_Photo(name, replace(skyline, shades=None), refusal, known))
+            read.append(_Photo(name, replace(skyline, picture=None), refusal, known))
         return read
 
     def _found_together(
@@ -693,6 +712,24 @@ def paths_of(store: str | Path | Sequence[str | Path]) -> Sequence[str | Path]:
     if not paths or not all(isinstance(one, str | Path) for one in paths):
         raise InputError(f"store is {store!r}; expected the path of a store, or several paths")
     return paths
+
+
+def _surest(result: MatchResult, others: Iterable[MatchResult]) -> MatchResult:
+    """Return the surest of a photo's results, up to the first that has an answer.
+
+    The others are searched one after another, as they are asked for.
+    """
+    for other in others:
+        if _sureness(other) > _sureness(result):
+            result = other
+        if result.answer is not None:
+            break
+    return result
+
+
+def _sureness(result: MatchResult) -> float:
+    """Return how sure the best candidate is; 0 without one, or without a confidence."""
+    return 0.0 if result.best is None else result.best.confidence_1km or 0.0
 
 
 def _check_top(top: int) -> None:

@@ -56,6 +56,12 @@ class Content:
     left: int
     right: int
 
+    @classmethod
+    def whole(cls, image: UInt8Array) -> "Content":
+        """Return all of an image (H, W, 3) as content."""
+        height, width = image.shape[:2]
+        return cls(height, width, 0, height, 0, width)
+
     def crop(self, image: UInt8Array) -> UInt8Array:
         """Return the photo inside its borders as a view of the image."""
         return image[self.top : self.bottom, self.left : self.right]

@@ -21,7 +21,7 @@ import numpy as np
 
 from skyline.arrays import Float32Array, Float64Array, IntArray, UInt8Array
 from skyline.errors import InputError
-from skyline.photo.borders import content_of
+from skyline.photo.borders import Content, content_of
 from skyline.photo.path import Steps, cheapest_path
 from skyline.photo.photo import Photo
 from skyline.photo.sky_mask import is_sky_mask, skyline_of_mask
@@ -91,7 +91,7 @@ def extract_skyline(image: UInt8Array) -> PhotoSkyline:
     edge or hidden are masked, not guessed. Raises `InputError` if the image is too small, a sliver,
     or shows no skyline.
     """
-    found = _Extraction(image)
+    found = Extraction(image)
     skyline = found.skyline(found.row_px, found.trust)
     share = float(skyline.trusted[found.content.left : found.content.right].mean())
     if share < _TRUST.least_share:
@@ -121,7 +121,7 @@ class Correction:
     def __init__(self, photo: Photo, beside_px: int = _BESIDE_PX) -> None:
         self._photo = photo
         self._beside_px = beside_px
-        self._extraction = _Extraction(photo.rgb)
+        self._extraction = Extraction(photo.rgb)
         self._mask = skyline_of_mask(photo.rgb) if is_sky_mask(photo.rgb) else None
 
     def solve(
@@ -158,7 +158,8 @@ class Correction:
                 row_px=np.where(beside, given.row_px, skyline.row_px),
                 trust=np.where(beside, given.trust, skyline.trust),
             )
-        return self._photo.described(skyline)
+        is_drawn = bool(strokes) or start is not None
+        return replace(self._photo.described(skyline), is_drawn=is_drawn)
 
     def _find_again(
         self, strokes: Sequence[Stroke], row_px: Float64Array, trust: Float64Array
@@ -194,7 +195,7 @@ class Correction:
             trust[touched] = np.maximum(trust[touched], _TRUST.least)
 
 
-class _Extraction:
+class Extraction:
     """A photo's skyline, and the probabilities and costs that led to it.
 
     Attributes
@@ -214,8 +215,9 @@ class _Extraction:
         Row and trust of every column of the photo, trusted or not.
     """
 
-    def __init__(self, image: UInt8Array) -> None:
-        self.content = content_of(image)
+    def __init__(self, image: UInt8Array, content: Content | None = None) -> None:
+        """Find the skyline in an image's content, by default all but its borders."""
+        self.content = content_of(image) if content is None else content
         self.photo = self.content.crop(image)
         small = _at_working_size(self.photo)
         self.share = _skyline_share(small)

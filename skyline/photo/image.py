@@ -15,6 +15,7 @@ from importlib import import_module
 from pathlib import Path
 from threading import Lock
 
+import cv2
 import numpy as np
 from PIL import Image, UnidentifiedImageError
 from PIL.ExifTags import Base
@@ -235,6 +236,14 @@ def shrink_if_large(name: str, image: Image.Image, limits: SizeLimits = LIMITS) 
             f"{limits.decoded / 1e6:.0f} ({limits.jpeg / 1e6:.0f} in a JPEG): scale it down, 20 "
             "are plenty"
         )
+
+
+def made_smaller(rgb: UInt8Array, longer_px: int) -> UInt8Array:
+    """Return pixels (h, w, 3) whose longer side has at most so many pixels."""
+    height, width = rgb.shape[:2]
+    scale = min(1.0, longer_px / max(height, width))
+    size = max(1, round(width * scale)), max(1, round(height * scale))
+    return np.asarray(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
 def rgb_of(image: Image.Image) -> UInt8Array:

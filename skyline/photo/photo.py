@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from datetime import datetime
 
-import cv2
 import numpy as np
 from PIL import Image, ImageOps
 from PIL.ExifTags import IFD, Base
@@ -13,7 +12,14 @@ from PIL.ExifTags import IFD, Base
 from skyline.arrays import ShortRepr, UInt8Array, refuse_text
 from skyline.camera import Projection
 from skyline.errors import InputError
-from skyline.photo.image import Picture, name_of, opened_image, rgb_of, shrink_if_large
+from skyline.photo.image import (
+    Picture,
+    made_smaller,
+    name_of,
+    opened_image,
+    rgb_of,
+    shrink_if_large,
+)
 from skyline.photo.noted_fov import camera_of
 from skyline.photo.noted_place import NOTHING_NOTED, NotedPlace, place_from_exif
 from skyline.photo.skyline import Lens, PhotoSkyline
@@ -21,9 +27,8 @@ from skyline.photo.tags import time_of
 from skyline.photo.xmp import xmp_of
 from skyline.tables import is_table
 
-_SHADES_PX = 800
-"""Longer side of a photo's shades: a pixel of 0.07 degrees is 10 m at 8 km, about the height error
-of ridges there."""
+_PICTURE_PX = 1600
+"""Longer side of the picture that a skyline keeps of its photo."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -61,24 +66,15 @@ class Photo(ShortRepr):
         return self.described(PhotoSkyline(unknown, np.zeros(width), width, height))
 
     def described(self, skyline: PhotoSkyline) -> PhotoSkyline:
-        """Return a skyline of this photo with its notes and shades."""
+        """Return a skyline of this photo with its notes and its picture."""
         return replace(
             skyline,
             fov_deg=self.fov_deg,
             projection=self.projection,
             noted=self.noted,
             lens=self.lens,
-            shades=shades_of(self.rgb),
+            picture=made_smaller(self.rgb, _PICTURE_PX),
         )
-
-
-def shades_of(rgb: UInt8Array) -> UInt8Array:
-    """Return a photo's grey values (h, w); see `PhotoSkyline.shades`."""
-    height, width = rgb.shape[:2]
-    scale = min(1.0, _SHADES_PX / max(height, width))
-    size = max(1, round(width * scale)), max(1, round(height * scale))
-    small = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA)
-    return np.asarray(cv2.cvtColor(small, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
 
 
 def read_photo(

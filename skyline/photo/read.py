@@ -94,7 +94,7 @@ def find_skyline(photo: Photo, sky_model: Any = None) -> PhotoSkyline:
         )
     try:
         if is_sky_mask(photo.rgb):
-            return replace(photo.described(skyline_of_mask(photo.rgb)), shades=None)
+            return replace(photo.described(skyline_of_mask(photo.rgb)), picture=None)
         if sky_model is None:
             skyline = extract_skyline(photo.rgb)
         else:

@@ -79,9 +79,11 @@ class PhotoSkyline:
     crests : (3, W) float64, optional
         Rows of up to three crests a column, the likeliest first, NaN where there are fewer. None if
         the skyline was not extracted.
-    shades : (h, w) uint8, optional
-        Grey values of the whole photo, made smaller. None for a trace and a mask, and in the result
-        of a search, since a run may keep thousands.
+    picture : (h, w, 3) uint8, optional
+        The whole photo, made smaller. None for a trace and a mask, and in the result of a search,
+        since a run may keep thousands.
+    is_drawn : bool
+        Whether a person has drawn or corrected it.
     """
 
     row_px: Float64Array
@@ -94,7 +96,8 @@ class PhotoSkyline:
     lens: Lens | None = None
     eye_height_m: float | None = None
     crests: Float64Array | None = None
-    shades: UInt8Array | None = None
+    picture: UInt8Array | None = None
+    is_drawn: bool = False
 
     def __post_init__(self) -> None:
         refuse_text(width_px=self.width_px, height_px=self.height_px, fov_deg=self.fov_deg)

@@ -42,8 +42,9 @@ def photo(field, right):
     texture = np.random.default_rng(1).normal(0.0, 4.0, distance_m.shape)
     haze = 250.0 * (1.0 - np.exp(-distance_m / 8000.0)) + texture
     shades = np.where(np.isnan(distance_m), 255.0, np.clip(haze, 0.0, 255.0)).astype(np.uint8)
+    picture = np.repeat(shades[..., np.newaxis], 3, axis=2)
     row_px = np.isfinite(distance_m).argmax(axis=0) - 0.5
-    return replace(blank, row_px=row_px, trust=np.ones(WIDTH_PX), shades=shades)
+    return replace(blank, row_px=row_px, trust=np.ones(WIDTH_PX), picture=picture)
 
 
 def weighed(candidates, photo, field):
@@ -88,8 +89,8 @@ def test_poses_of_one_answer_are_weighed_by_their_costs(right, photo, field):
 @pytest.mark.parametrize(
     "said",
     [
-        {"shades": None},
-        {"shades": np.full((HEIGHT_PX, WIDTH_PX), 90, np.uint8)},
+        {"picture": None},
+        {"picture": np.full((HEIGHT_PX, WIDTH_PX, 3), 90, np.uint8)},
         {"projection": Projection.CYLINDRICAL},
     ],
     ids=["a trace", "fog", "a panorama"],

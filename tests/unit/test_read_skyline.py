@@ -72,15 +72,15 @@ def test_separators_may_stand_between_the_notes_of_a_trace(tmp_path, comma):
     assert (skyline.width_px, skyline.height_px) == (50, 40)
 
 
-def test_a_photo_has_its_grey_values_made_smaller_and_a_mask_has_none(tmp_path):
-    image = np.full((400, 1600, 3), 240, np.uint8)
-    image[200:] = (60, 80, 100)
+def test_a_photo_is_kept_made_smaller_and_a_mask_is_not(tmp_path):
+    image = np.full((800, 3200, 3), 240, np.uint8)
+    image[400:] = (60, 80, 100)
     Image.fromarray(image).save(tmp_path / "photo.png")
-    shades = read_photo(tmp_path / "photo.png").blank.shades
-    assert (shades.shape, shades.dtype) == ((200, 800), np.uint8)
-    assert_array_equal(np.unique(shades[101:]), [76])  # 0.299 R + 0.587 G + 0.114 B
+    picture = read_photo(tmp_path / "photo.png").blank.picture
+    assert (picture.shape, picture.dtype) == ((400, 1600, 3), np.uint8)
+    assert_array_equal(picture[201:], np.broadcast_to(image[-1, 0], (199, 1600, 3)))
     Image.fromarray(np.where(image > 100, 255, 0).astype(np.uint8)).save(tmp_path / "mask.png")
-    assert read_skyline(tmp_path / "mask.png").shades is None
+    assert read_skyline(tmp_path / "mask.png").picture is None
 
 
 def test_unwritable_place_is_named_and_nothing_is_left(tmp_path):
