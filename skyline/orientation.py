@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -48,6 +48,7 @@ from skyline.match.search import one_blas_thread
 from skyline.match.shard import LocalShard
 from skyline.match.solver import TEMPERATURE
 from skyline.match.verdict import refusal_of, too_little
+from skyline.photo.farther import farther_skylines
 from skyline.photo.image import Picture
 from skyline.photo.noted_place import NotedPlace
 from skyline.photo.read import named_skyline
@@ -138,6 +139,8 @@ class _Doubts:
     far_sds: float = 4.0
     """A pose farther from the known place than this many standard deviations belongs to another
     place."""
+    sure: float = 0.95
+    """A photo whose heading is surer than this is not looked at again for a farther skyline."""
     named_cost: float = 20.0
     """A heading whose cost is higher by less than this is named in a refusal."""
     compass_sds: float = 0.5
@@ -428,14 +431,21 @@ class Orienter(Closeable):
         narrowing = Narrowing(heading_deg=heading_deg)
         started = time.perf_counter()
         file, skyline = named_skyline(photo, fov_deg)
-        name = name or file
+        found = self._oriented(skyline, narrowing)
+        if found.confidence < _DOUBTS.sure or found.refusal is not None:
+            # What hides in haze may be the skyline that the terrain model has.
+            farther = [self._oriented(one, narrowing) for one in farther_skylines(skyline)]
+            found = _surest([found, *farther])
+        return replace(found, seconds=time.perf_counter() - started, name=name or file)
+
+    def _oriented(self, skyline: PhotoSkyline, narrowing: Narrowing) -> Orientation:
+        """Return how a camera was held that saw a skyline."""
         refusal = too_little(skyline)
         if refusal is not None:
-            return Orientation(skyline, None, refusal=refusal, name=name)
+            return Orientation(skyline, None, refusal=refusal)
         rays = Rays.of(skyline, MatchConfig().fov_sd_share, finds_fov=True)
         poses = self._refined(rays, skyline, narrowing)
-        found = self._orientation(skyline, rays, poses, narrowing)
-        return replace(found, seconds=time.perf_counter() - started, name=name)
+        return self._orientation(skyline, rays, poses, narrowing)
 
     def _refined(self, rays: Rays, skyline: PhotoSkyline, narrowing: Narrowing) -> Poses:
         """Return the best pose of each heading in each standing, best first.
@@ -571,12 +581,42 @@ class Orienter(Closeable):
         """Return the refusal of a heading with too little confidence, or None."""
         if sure >= LEAST_CONFIDENCE:
             return None
-        doubt = f"the heading has a confidence of {sure:.2f}, and {LEAST_CONFIDENCE:.2f} is needed"
+        doubt = _too_unsure(sure)
         cost = poses.cost
         if len(poses) > 1 and cost[1] - cost[0] < _DOUBTS.named_cost:
             other_deg = (poses.grid_heading_deg[1] + pose.convergence_deg) % 360.0
             return f"{doubt}; a heading of {other_deg:.0f} degrees fits about as well"
         return f"{doubt}; {pose.residual_in_words}"
+
+
+def _surest(skylines: Sequence[Orientation]) -> Orientation:
+    """Return the surest orientation of those by several skylines of a photo.
+
+    At most one of the skylines is the terrain's, so other headings are rivals.
+    """
+    surest = max(skylines, key=lambda found: found.confidence)
+    rivals = [found for found in skylines if _is_rival(found.pose, surest.pose)]
+    sure = confidence.beside_rivals(surest.confidence, [rival.confidence for rival in rivals])
+    surest = replace(surest, confidence=sure)
+    if surest.answer is None or sure >= LEAST_CONFIDENCE:
+        return surest
+    rival = max(rivals, key=lambda found: found.confidence)
+    heading_deg = math.nan if rival.pose is None else rival.pose.heading_deg
+    return replace(
+        surest,
+        refusal=f"{_too_unsure(sure)}; a heading of {heading_deg:.0f} degrees fits another skyline "
+        "that the photo may have",
+        lacks_confidence_only=True,
+    )
+
+
+def _is_rival(pose: Pose | None, best: Pose | None) -> bool:
+    """Return whether a pose has another heading than the best one."""
+    return pose is not None and best is not None and pose.turn_deg(best) > _SEARCH.apart_deg
+
+
+def _too_unsure(sure: float) -> str:
+    return f"the heading has a confidence of {sure:.2f}, and {LEAST_CONFIDENCE:.2f} is needed"
 
 
 @contextmanager

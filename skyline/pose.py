@@ -223,13 +223,21 @@ class Pose:
         """Return the angle between two poses' headings, 0 to 180 degrees."""
         return abs(float(in_turn(self.heading_deg - other.heading_deg)))
 
-    def is_same_answer(self, other: "Pose") -> bool:
+    def is_same_answer(self, other: "Pose", within_m: float = RIGHT_WITHIN_M) -> bool:
         """Return whether another pose is the same answer.
 
         It is if it lies near and looks the same way. Confidences belong to answers.
         """
-        near = self.distance_m(other) <= RIGHT_WITHIN_M
+        near = self.distance_m(other) <= within_m
         return near and self.turn_deg(other) <= SAME_VIEW_DEG
+
+    def less_sure(self, share: float) -> "Pose":
+        """Return the pose with a share of its confidences, if it has any."""
+        near, roughly = (
+            None if sure is None else share * sure
+            for sure in (self.confidence, self.confidence_1km)
+        )
+        return replace(self, confidence=near, confidence_1km=roughly)
 
     @property
     def residual_in_words(self) -> str:

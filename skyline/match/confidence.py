@@ -22,7 +22,7 @@ The camera's tilt is not a figure, since synthetic queries tilt less than photos
 """
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
 
@@ -268,6 +268,16 @@ def shared_probabilities(
         )
     )
     return near, np.maximum(near, roughly)
+
+
+def beside_rivals(sure: float, rivals: Iterable[float]) -> float:
+    """Return how sure one of several poses is, of which at most one is right.
+
+    Each confidence was found without knowing of the others. The odds of a pose are its confidence
+    over the rest; a pose is right by its odds over 1 and the odds of all.
+    """
+    odds = [one / max(1.0 - one, 1e-9) for one in (sure, *rivals)]
+    return odds[0] / (1.0 + sum(odds))
 
 
 def _shares(is_near: BoolArray, weight: Float64Array, best: int, sure: float) -> Float64Array:

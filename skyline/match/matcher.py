@@ -21,6 +21,7 @@ from skyline.arrays import Progress
 from skyline.errors import InputError, SkylineError, StoreError
 from skyline.files import is_file, on_disk
 from skyline.geodesy.map_frame import Frame
+from skyline.match.confidence import beside_rivals
 from skyline.match.config import MatchConfig
 from skyline.match.contours import weighed_by_contours
 from skyline.match.method import MATCHERS, SearchMethod
@@ -38,7 +39,7 @@ from skyline.photo.image import Picture
 from skyline.photo.read import named_skyline
 from skyline.photo.skyline import PhotoSkyline
 from skyline.plugins import load
-from skyline.pose import Pose, Poses
+from skyline.pose import ROUGHLY_WITHIN_M, Pose, Poses
 from skyline.render.context import Closeable, RenderThread
 from skyline.render.horizon import RenderConfig, RenderedScene
 from skyline.store.layout import StoreHeader
@@ -282,44 +283,53 @@ class Matcher(Closeable):
         started = time.perf_counter()
         _check_top(top)
         name, skyline = named_skyline(photo, fov_deg)
-        result = self._searched(skyline, top, narrowing, report_progress)
-        if result.answer is None and self._method.renders:
-            # What hides in haze may be the skyline that the photo has.
-            others = (
-                self._searched(farther, top, narrowing, report_progress)
-                for farther in farther_skylines(skyline)
-            )
-            result = _surest(result, others)
-        return replace(result, seconds=time.perf_counter() - started, name=name)
+        found = self._found(skyline, top, narrowing, report_progress)
+        verdict = self._verdict(found)
+        if verdict.refusal is not None and self._method.renders:
+            # What hides in haze may be the skyline that the terrain model has.
+            farther = [
+                self._found(one, top, narrowing, report_progress)
+                for one in farther_skylines(skyline)
+            ]
+            if farther:
+                found = _surest([found, *farther])
+                verdict = self._verdict(found)
+        return MatchResult(
+            replace(found.skyline, picture=None),
+            found.candidates,
+            time.perf_counter() - started,
+            verdict.refusal,
+            verdict.within_m,
+            name,
+            narrowing=narrowing or Narrowing(),
+            crs=self.crs,
+        )
 
-    def _searched(
+    def _found(
         self,
         skyline: PhotoSkyline,
         top: int,
         narrowing: Narrowing | None,
         report_progress: ReportProgress,
-    ) -> MatchResult:
-        """Return the result of one skyline's search; see `match`."""
-        started = time.perf_counter()
-        candidates: tuple[Pose, ...] = ()
-        verdict = Verdict(too_little(skyline))
-        if verdict.refusal is None:
-            rays, prior = self._rays_and_prior(skyline, narrowing)
-            poses = self._method.search(rays, prior, max(top, TOP), report_progress)
-            candidates = self._weighed(self._on_map(poses), skyline)[:top]
-            other = None
-            if candidates:
-                other = self._method.other_projection(rays, candidates[0], prior)
-            verdict = Verdict.of_search(candidates, other, self._config, skyline, rays)
-        return MatchResult(
-            replace(skyline, picture=None),
-            candidates,
-            time.perf_counter() - started,
-            verdict.refusal,
-            verdict.within_m,
-            narrowing=narrowing or Narrowing(),
-            crs=self.crs,
-        )
+    ) -> _Found:
+        """Return what a search for a skyline finds; raises as `match`."""
+        refusal = too_little(skyline)
+        if refusal is not None:
+            return _Found(skyline, refusal)
+        rays, prior = self._rays_and_prior(skyline, narrowing)
+        poses = self._method.search(rays, prior, max(top, TOP), report_progress)
+        candidates = self._weighed(self._on_map(poses), skyline)[:top]
+        return _Found(skyline, None, (rays, prior), candidates)
+
+    def _verdict(self, found: _Found) -> Verdict:
+        """Return whether the best candidate is the answer."""
+        if found.known is None:
+            return Verdict(found.refusal)
+        rays, prior = found.known
+        other = None
+        if found.candidates:
+            other = self._method.other_projection(rays, found.candidates[0], prior)
+        return Verdict.of_search(found.candidates, other, self._config, found.skyline, rays)
 
     def _weighed(self, candidates: tuple[Pose, ...], skyline: PhotoSkyline) -> tuple[Pose, ...]:
         """Return the candidates, weighed by what a photo shows below its skyline."""
@@ -714,22 +724,44 @@ def paths_of(store: str | Path | Sequence[str | Path]) -> Sequence[str | Path]:
     return paths
 
 
-def _surest(result: MatchResult, others: Iterable[MatchResult]) -> MatchResult:
-    """Return the surest of a photo's results, up to the first that has an answer.
+@dataclass(frozen=True, slots=True)
+class _Found:
+    """What the search for one skyline of a photo found."""
 
-    The others are searched one after another, as they are asked for.
+    skyline: PhotoSkyline
+    refusal: str | None
+    """Why it cannot be searched for; None if it can."""
+    known: tuple[Rays, Prior] | None = None
+    """Its rays and the prior of its pose; None if it cannot be searched for."""
+    candidates: tuple[Pose, ...] = ()
+
+    @property
+    def best(self) -> Pose | None:
+        """The best candidate, if any."""
+        return self.candidates[0] if self.candidates else None
+
+    @property
+    def confidence(self) -> float:
+        """How sure the best candidate is within 1 km; 0 if that is not known."""
+        return 0.0 if self.best is None else self.best.confidence_1km or 0.0
+
+
+def _surest(skylines: Sequence[_Found]) -> _Found:
+    """Return the surest of the searches for several skylines of a photo.
+
+    At most one of the skylines is the terrain's. So the best candidates of the others are rivals of
+    the surest one, unless they are near it.
     """
-    for other in others:
-        if _sureness(other) > _sureness(result):
-            result = other
-        if result.answer is not None:
-            break
-    return result
-
-
-def _sureness(result: MatchResult) -> float:
-    """Return how sure the best candidate is; 0 without one, or without a confidence."""
-    return 0.0 if result.best is None else result.best.confidence_1km or 0.0
+    surest = max(skylines, key=lambda found: found.confidence)
+    if surest.best is None or not surest.confidence:
+        return surest
+    rivals = [
+        found.confidence
+        for found in skylines
+        if found.best and not found.best.is_same_answer(surest.best, ROUGHLY_WITHIN_M)
+    ]
+    share = beside_rivals(surest.confidence, rivals) / surest.confidence
+    return replace(surest, candidates=tuple(one.less_sure(share) for one in surest.candidates))
 
 
 def _check_top(top: int) -> None:
