@@ -47,7 +47,7 @@ from skyline.match.retrieval import Retriever
 from skyline.match.search import one_blas_thread
 from skyline.match.shard import LocalShard
 from skyline.match.solver import TEMPERATURE
-from skyline.match.verdict import refusal_of, too_little
+from skyline.match.verdict import confidence_below, refusal_of, too_little
 from skyline.photo.farther import farther_skylines
 from skyline.photo.image import Picture
 from skyline.photo.noted_place import NotedPlace
@@ -616,7 +616,10 @@ def _is_rival(pose: Pose | None, best: Pose | None) -> bool:
 
 
 def _too_unsure(sure: float) -> str:
-    return f"the heading has a confidence of {sure:.2f}, and {LEAST_CONFIDENCE:.2f} is needed"
+    return (
+        f"the heading has a confidence of {confidence_below(sure)}, and {LEAST_CONFIDENCE:.2f} is "
+        "needed"
+    )
 
 
 @contextmanager

@@ -11,6 +11,7 @@ A pose is refused for lack of confidence before it is refused for its field of v
 may have another projection, the refusal says that as well, since it may be the cause.
 """
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
@@ -237,14 +238,19 @@ def _sure_within_m(best: Pose, config: MatchConfig) -> float | None:
     return ROUGHLY_WITHIN_M if best.confidence_1km >= 1.0 - doubt else None
 
 
+def confidence_below(sure: float) -> str:
+    """Return a confidence in words, rounded down: 0.796 is less than 0.80."""
+    return f"{math.floor(100.0 * sure) / 100.0:.2f}"
+
+
 def _lack_of_confidence(candidates: Sequence[Pose], config: MatchConfig) -> str | None:
     """Return the refusal of a best candidate that is unsure, or None."""
     best = candidates[0]
     if best.confidence is None or _sure_within_m(best, config) is not None:
         return None
     return (
-        f"the best place has a confidence of {best.confidence_1km:.2f} within 1 km, and "
-        f"{config.min_confidence:.2f} is needed" + _slope_hint(candidates)
+        f"the best place has a confidence of {confidence_below(best.confidence_1km or 0.0)} within "
+        f"1 km, and {config.min_confidence:.2f} is needed" + _slope_hint(candidates)
     )
 
 

@@ -6,6 +6,7 @@ from itertools import groupby
 
 import numpy as np
 import pytest
+from photo_scenes import ground, ridge, sky
 from place_scenes import AZIMUTH_DEG, curve, places_of, rays
 from scenes import NORTH_M, WEST_M, at_deg
 
@@ -18,6 +19,7 @@ from skyline.match.prior import NOTHING_KNOWN
 from skyline.match.shard import LocalShard
 from skyline.match.solver import TEMPERATURE
 from skyline.photo.noted_place import NotedPlace
+from skyline.photo.read import read_skyline
 from skyline.photo.skyline import Lens, PhotoSkyline
 from skyline.render.horizon import RenderConfig, RenderedScene
 from skyline_bench.queries.synthetic import QueryConfig, make_queries, make_queries_together
@@ -259,3 +261,30 @@ def test_the_number_of_candidates_changes_none_of_them(store, terrain, queries):
         assert [one.rank for one in many.candidates][:3] == [1, 2, 3]
         with pytest.raises(InputError, match="top is 0"):
             matcher.match(queries[0].skyline, top=0)
+
+
+def in_haze(skyline):
+    """A photo of a skyline that is six levels darker than the sky, with rocks in front of it."""
+    height, width = skyline.height_px, skyline.width_px
+    trusted = np.flatnonzero(skyline.trusted)
+    far = np.interp(np.arange(width), trusted, skyline.row_px[trusted])
+    rng = np.random.default_rng(1)
+    rocks = ridge(rng, width, height, 0.10) + far.max() + 60.0 - 0.42 * height
+    rows = np.arange(height)[:, np.newaxis]
+    picture = sky(width, height) - np.array([7.0, 6.0, 4.0]) * (rows > far)[..., np.newaxis]
+    picture = np.where((rows > rocks)[..., np.newaxis], ground(rng, width, height), picture)
+    picture += rng.normal(0.0, 1.2, picture.shape)
+    return np.clip(picture, 0.0, 255.0).astype(np.uint8)
+
+
+def test_a_skyline_in_haze_is_searched_where_the_rocks_before_it_fit_nowhere(
+    store, terrain, queries
+):
+    query = queries[2]
+    skyline = read_skyline(in_haze(query.skyline), query.skyline.fov_deg)
+    with Matcher(store, terrain) as matcher:
+        found = matcher.match(skyline)
+        drawn = matcher.match(replace(skyline, is_drawn=True))
+    assert error_m(found.answer, query.truth) < 30.0
+    assert drawn.answer is None
+    assert error_m(drawn.best, query.truth) > 300.0
