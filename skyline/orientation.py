@@ -595,24 +595,23 @@ def _surest(skylines: Sequence[Orientation]) -> Orientation:
     At most one of the skylines is the terrain's, so other headings are rivals.
     """
     surest = max(skylines, key=lambda found: found.confidence)
-    rivals = [found for found in skylines if _is_rival(found.pose, surest.pose)]
-    sure = confidence.beside_rivals(surest.confidence, [rival.confidence for rival in rivals])
+    best = surest.pose
+    rivals = {
+        found.confidence: found.pose
+        for found in skylines
+        if best and found.pose and found.pose.turn_deg(best) > _SEARCH.apart_deg
+    }
+    sure = confidence.beside_rivals(surest.confidence, rivals)
     surest = replace(surest, confidence=sure)
     if surest.answer is None or sure >= LEAST_CONFIDENCE:
         return surest
-    rival = max(rivals, key=lambda found: found.confidence)
-    heading_deg = math.nan if rival.pose is None else rival.pose.heading_deg
+    rival = rivals[max(rivals)]
     return replace(
         surest,
-        refusal=f"{_too_unsure(sure)}; a heading of {heading_deg:.0f} degrees fits another skyline "
-        "that the photo may have",
+        refusal=f"{_too_unsure(sure)}; a heading of {rival.heading_deg:.0f} degrees fits another "
+        "skyline that the photo may have",
         lacks_confidence_only=True,
     )
-
-
-def _is_rival(pose: Pose | None, best: Pose | None) -> bool:
-    """Return whether a pose has another heading than the best one."""
-    return pose is not None and best is not None and pose.turn_deg(best) > _SEARCH.apart_deg
 
 
 def _too_unsure(sure: float) -> str:

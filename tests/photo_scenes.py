@@ -182,3 +182,17 @@ class BlueSky:
             "logits": [logit],
             "two logits": [np.concatenate([-logit / 2.0, logit / 2.0], axis=1)],
         }[self.form]
+
+
+def in_haze(skyline):
+    """A photo of a skyline that is six levels darker than the sky, with rocks in front of it."""
+    height, width = skyline.height_px, skyline.width_px
+    trusted = np.flatnonzero(np.isfinite(skyline.row_px))
+    far = np.interp(np.arange(width), trusted, skyline.row_px[trusted])
+    rng = np.random.default_rng(1)
+    rocks = ridge(rng, width, height, 0.10) + far.max() + 60.0 - 0.42 * height
+    rows = np.arange(height)[:, np.newaxis]
+    picture = sky(width, height) - np.array([7.0, 6.0, 4.0]) * (rows > far)[..., np.newaxis]
+    picture = np.where((rows > rocks)[..., np.newaxis], ground(rng, width, height), picture)
+    picture += rng.normal(0.0, 1.2, picture.shape)
+    return np.clip(picture, 0.0, 255.0).astype(np.uint8)

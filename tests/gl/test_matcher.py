@@ -6,7 +6,7 @@ from itertools import groupby
 
 import numpy as np
 import pytest
-from photo_scenes import ground, ridge, sky
+from photo_scenes import in_haze
 from place_scenes import AZIMUTH_DEG, curve, places_of, rays
 from scenes import NORTH_M, WEST_M, at_deg
 
@@ -261,20 +261,6 @@ def test_the_number_of_candidates_changes_none_of_them(store, terrain, queries):
         assert [one.rank for one in many.candidates][:3] == [1, 2, 3]
         with pytest.raises(InputError, match="top is 0"):
             matcher.match(queries[0].skyline, top=0)
-
-
-def in_haze(skyline):
-    """A photo of a skyline that is six levels darker than the sky, with rocks in front of it."""
-    height, width = skyline.height_px, skyline.width_px
-    trusted = np.flatnonzero(skyline.trusted)
-    far = np.interp(np.arange(width), trusted, skyline.row_px[trusted])
-    rng = np.random.default_rng(1)
-    rocks = ridge(rng, width, height, 0.10) + far.max() + 60.0 - 0.42 * height
-    rows = np.arange(height)[:, np.newaxis]
-    picture = sky(width, height) - np.array([7.0, 6.0, 4.0]) * (rows > far)[..., np.newaxis]
-    picture = np.where((rows > rocks)[..., np.newaxis], ground(rng, width, height), picture)
-    picture += rng.normal(0.0, 1.2, picture.shape)
-    return np.clip(picture, 0.0, 255.0).astype(np.uint8)
 
 
 def test_a_skyline_in_haze_is_searched_where_the_rocks_before_it_fit_nowhere(

@@ -5,6 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from photo_scenes import in_haze
 from ray_scenes import poses
 from scenes import NORTH_M, WEST_M, at_deg, field_of, fractal
 from test_matcher import MIDDLE, SHARP
@@ -14,6 +15,7 @@ from skyline.errors import InputError
 from skyline.geodesy.bounds import in_turn
 from skyline.orientation import Orientation
 from skyline.photo.noted_place import NotedPlace
+from skyline.photo.read import read_skyline
 from skyline.photo.skyline import PhotoSkyline
 from skyline_bench.queries.synthetic import make_queries
 
@@ -45,6 +47,17 @@ def test_angles_are_found_from_a_place_beside_the_true_one(terrain, queries):
     shares = np.abs(off) / [[getattr(one, name) for name in names] for one in found]
     assert np.median(shares) < 1.0
     assert shares.max() < 4.0
+
+
+def test_a_skyline_in_haze_gives_the_heading_where_the_rocks_before_it_do_not(terrain, queries):
+    query = queries[2]
+    skyline = read_skyline(in_haze(query.skyline), query.skyline.fov_deg)
+    with Orienter(terrain, **beside(terrain, query.truth)) as orienter:
+        found = orienter.orient(skyline)
+        drawn = orienter.orient(replace(skyline, is_drawn=True))
+    assert drawn.answer is None
+    assert found.refusal is None
+    assert abs(off_deg(found, query.truth)[0]) < 1.0
 
 
 def test_an_unknown_field_of_view_is_found(terrain, queries):
