@@ -48,7 +48,7 @@ from skyline.match.search import one_blas_thread
 from skyline.match.shard import LocalShard
 from skyline.match.solver import TEMPERATURE
 from skyline.match.verdict import confidence_below, refusal_of, too_little
-from skyline.photo.farther import farther_skylines
+from skyline.photo.haze import farther_skylines
 from skyline.photo.image import Picture
 from skyline.photo.noted_place import NotedPlace
 from skyline.photo.read import named_skyline

@@ -34,7 +34,7 @@ from skyline.match.screen import ReportProgress, silent
 from skyline.match.shard import Shard
 from skyline.match.verdict import Verdict, candidate_reached, too_little
 from skyline.match.walk import check_times, joined
-from skyline.photo.farther import farther_skylines
+from skyline.photo.haze import farther_skylines
 from skyline.photo.image import Picture
 from skyline.photo.read import named_skyline
 from skyline.photo.skyline import PhotoSkyline

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from photo_scenes import ground, ridge, sky
 
-from skyline.photo.farther import farther_skylines
+from skyline.photo.haze import farther_skylines
 from skyline.photo.photo import read_photo
 from skyline.photo.read import find_skyline
 
