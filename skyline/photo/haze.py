@@ -67,44 +67,74 @@ def farther_skylines(skyline: PhotoSkyline) -> Iterator[PhotoSkyline]:
 
 def _looked_beyond(skyline: PhotoSkyline) -> PhotoSkyline | None:
     """Return the next farther skyline; None where there is none."""
-    picture = skyline.picture
-    if picture is None or skyline.is_drawn or not skyline.trusted.any():
+    if skyline.picture is None or skyline.is_drawn or not skyline.trusted.any():
         return None
-    content = content_of(picture)
-    photo = content.crop(picture)
-    scale = picture.shape[1] / skyline.width_px
-    trusted = np.flatnonzero(skyline.trusted)
-    columns_px = (np.arange(content.left, content.right) + 0.5) / scale - 0.5
-    row_px = np.interp(columns_px, trusted, skyline.row_px[trusted])
-    row = (row_px + 0.5) * scale - 0.5 - content.top
-    top = max(0, int(row.min() - _LOOK.above_share * len(photo)))
-    band = photo[top : int(row.max() + _LOOK.below_share * len(photo))]
-    if len(band) < _LOOK.least_px:
+    band = _Band.about(skyline, skyline.picture)
+    if len(band.pixels) < _LOOK.least_px:
         return None
-    found = Extraction(_painted(band, row - top), Content.whole(band))
-    trust = np.where(row - top - found.row_px > _LOOK.apart_share * len(photo), found.trust, 0.0)
-    at = (np.arange(skyline.width_px) + 0.5) * scale - 0.5 - content.left
-    inside = (at > -1.0) & (at < len(row))
-    nearest = np.rint(at).astype(np.intp).clip(0, len(row) - 1)
-    is_doubted = inside & (trust[nearest] > _LOOK.doubted)
-    seen = found.skyline(found.row_px, trust)
-    is_seen = is_doubted & seen.trusted[nearest]
+    found = Extraction(band.painted(), Content.whole(band.pixels))
+    is_higher = band.ridge_row - found.row_px > _LOOK.apart_share * band.photo_rows
+    trust = np.where(is_higher, found.trust, 0.0)
+    row = np.where(found.skyline(found.row_px, trust).trusted, found.row_px, np.nan)
+    row_px, trust = band.in_columns(row, skyline.width_px), band.in_columns(trust, skyline.width_px)
+    is_seen = np.isfinite(row_px)
     if is_seen.mean() < _LOOK.least_share:
         return None
-    rows = np.interp(at, np.arange(len(row)), found.row_px) + top + content.top
-    known = np.where(is_seen, (rows + 0.5) / scale - 0.5, np.nan)
+    is_doubted = trust > _LOOK.doubted
     return replace(
         skyline,
-        row_px=np.where(is_doubted, known, skyline.row_px),
-        trust=np.where(is_doubted, np.where(is_seen, trust[nearest], 0.0), skyline.trust),
+        row_px=np.where(is_doubted, band.in_photo(row_px), skyline.row_px),
+        trust=np.where(is_doubted, np.where(is_seen, trust, 0.0), skyline.trust),
     )
 
 
-def _painted(band: UInt8Array, row: Float64Array) -> UInt8Array:
-    """Return a band (h, w, 3) with the colours above rows (w,) painted over all below them."""
-    first = np.floor(row - _LOOK.painted_px).astype(np.intp).clip(0, len(band) - 1)
-    above = band[first, np.arange(len(first))][np.newaxis]
-    window = (_LOOK.smoothed_px, 1)
-    colours = cv2.blur(above, window, borderType=cv2.BORDER_REPLICATE)
-    is_below = np.arange(len(band))[:, np.newaxis] >= first
-    return np.where(is_below[..., np.newaxis], colours, band)
+@dataclass(frozen=True, slots=True, eq=False)
+class _Band:
+    """The rows of a picture about the skyline of its photo."""
+
+    pixels: UInt8Array
+    """(h, w, 3) uint8."""
+    ridge_row: Float64Array
+    """(w,) float64. Rows of the skyline in the band."""
+    top: int
+    """The picture's row where the band begins."""
+    left: int
+    """The picture's column where it begins."""
+    photo_rows: int
+    """Rows of the picture without its borders."""
+    scale: float
+    """Pixels of the picture over pixels of the photo."""
+
+    @classmethod
+    def about(cls, skyline: PhotoSkyline, picture: UInt8Array) -> "_Band":
+        """Return the band about a skyline."""
+        content = content_of(picture)
+        photo = content.crop(picture)
+        scale = picture.shape[1] / skyline.width_px
+        trusted = np.flatnonzero(skyline.trusted)
+        column_px = (np.arange(content.left, content.right) + 0.5) / scale - 0.5
+        row_px = np.interp(column_px, trusted, skyline.row_px[trusted])
+        row = (row_px + 0.5) * scale - 0.5 - content.top
+        above = max(0, int(row.min() - _LOOK.above_share * len(photo)))
+        below = int(row.max() + _LOOK.below_share * len(photo))
+        top = content.top + above
+        return cls(photo[above:below], row - above, top, content.left, len(photo), scale)
+
+    def painted(self) -> UInt8Array:
+        """Return the band with the colours above the skyline painted over all below them."""
+        first = np.floor(self.ridge_row - _LOOK.painted_px).astype(np.intp)
+        first = first.clip(0, len(self.pixels) - 1)
+        above = self.pixels[first, np.arange(len(first))][np.newaxis]
+        window = (_LOOK.smoothed_px, 1)
+        colours = cv2.blur(above, window, borderType=cv2.BORDER_REPLICATE)
+        is_below = np.arange(len(self.pixels))[:, np.newaxis] >= first
+        return np.asarray(np.where(is_below[..., np.newaxis], colours, self.pixels))
+
+    def in_columns(self, values: Float64Array, width_px: int) -> Float64Array:
+        """Return values (w,) of the band's columns in the photo's columns; NaN outside."""
+        at = (np.arange(width_px) + 0.5) * self.scale - 0.5 - self.left
+        return np.interp(at, np.arange(len(values)), values, left=np.nan, right=np.nan)
+
+    def in_photo(self, row: Float64Array) -> Float64Array:
+        """Return the photo's rows from rows of the band."""
+        return (row + self.top + 0.5) / self.scale - 0.5
