@@ -128,13 +128,14 @@ class _Band:
         window = (_LOOK.smoothed_px, 1)
         colours = cv2.blur(above, window, borderType=cv2.BORDER_REPLICATE)
         is_below = np.arange(len(self.pixels))[:, np.newaxis] >= first
-        return np.asarray(np.where(is_below[..., np.newaxis], colours, self.pixels))
+        return np.where(is_below[..., np.newaxis], colours, self.pixels)
 
     def in_columns(self, values: Float64Array, width_px: int) -> Float64Array:
         """Return values (w,) of the band's columns in the photo's columns; NaN outside."""
         at = (np.arange(width_px) + 0.5) * self.scale - 0.5 - self.left
-        return np.interp(at, np.arange(len(values)), values, left=np.nan, right=np.nan)
+        within = np.interp(at, np.arange(len(values)), values, left=np.nan, right=np.nan)
+        return np.asarray(within)
 
     def in_photo(self, row: Float64Array) -> Float64Array:
         """Return the photo's rows from rows of the band."""
-        return (row + self.top + 0.5) / self.scale - 0.5
+        return np.asarray((row + self.top + 0.5) / self.scale - 0.5)
