@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from skyline.web.ground import shown_name
+from skyline.web.area import shown_name
 from skyline.web.sessions import GoneError, Patience, Sessions
 
 
