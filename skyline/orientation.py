@@ -53,6 +53,7 @@ from skyline.photo.noted_place import NotedPlace
 from skyline.photo.read import named_skyline
 from skyline.photo.skyline import PhotoSkyline
 from skyline.pose import Pose, Poses
+from skyline.pose_errors import ANGLES
 from skyline.render.context import Closeable
 from skyline.render.horizon import PanoramaRenderer, RenderConfig, RenderedScene
 from skyline.store.places import BINS, Places
@@ -194,13 +195,17 @@ class Orientation:
         pose = self.pose
         held = "no pose fits"
         if pose is not None:
-            angles = {"heading": (pose.heading_deg, self.heading_sd_deg)}
-            angles |= {"pitch": (pose.pitch_deg, self.pitch_sd_deg)}
-            angles |= {"roll": (pose.roll_deg, self.roll_sd_deg)}
-            angles |= {"fov": (pose.fov_deg, self.fov_sd_deg)}
-            held = ", ".join(f"{name} {deg:.2f} +- {sd:.2f}" for name, (deg, sd) in angles.items())
-            held += f" degrees, confidence {self.confidence:.2f}"
+            angles = (
+                f"{name} {getattr(pose, f'{name}_deg'):.2f} +- {sd_deg:.2f}"
+                for name, sd_deg in self.sds_deg.items()
+            )
+            held = f"{', '.join(angles)} degrees, confidence {self.confidence:.2f}"
         return f"Orientation({held}{f'; not trusted: {self.refusal}' if self.refusal else ''})"
+
+    @property
+    def sds_deg(self) -> dict[str, float]:
+        """Standard errors of heading, pitch, roll and field of view, degrees."""
+        return {name: getattr(self, f"{name}_sd_deg") for name in ANGLES}
 
     @property
     def answer(self) -> Pose | None:
@@ -250,10 +255,9 @@ class Orientation:
         """Return the row of ``skyline orient -o``."""
         pose = {} if self.pose is None else self.pose.to_dict()
         row: dict[str, Any] = {"photo": printable(self.name), "trusted": int(not self.refusal)}
-        for angle in ("heading", "pitch", "roll", "fov"):
+        for angle, sd_deg in self.sds_deg.items():
             row[f"{angle}_deg"] = pose.get(f"{angle}_deg")
-            sd_name = f"{angle}_sd_deg"
-            row[sd_name] = None if self.pose is None else getattr(self, sd_name)
+            row[f"{angle}_sd_deg"] = None if self.pose is None else sd_deg
         for name in ("distortion", "lon", "lat", "eye_elevation_m", "residual_deg"):
             row[name] = pose.get(name)
         return row | {
@@ -271,13 +275,7 @@ class Orientation:
         if self.refusal:
             lines.append(f"not trusted: {self.refusal}")
         if self.pose is not None:
-            pose = self.pose
-            lines.append(
-                f"heading {pose.heading_deg:.2f} +- {self.heading_sd_deg:.2f} from true north  "
-                f"pitch {pose.pitch_deg:.2f} +- {self.pitch_sd_deg:.2f}  "
-                f"roll {pose.roll_deg:.2f} +- {self.roll_sd_deg:.2f}  "
-                f"fov {pose.fov_deg:.2f} +- {self.fov_sd_deg:.2f} degrees"
-            )
+            lines.append(self.pose.angles_in_words(self.sds_deg))
             lines.append(
                 f"the heading is right within {RIGHT_DEG:g} degree with confidence "
                 f"{self.confidence:.2f}"
@@ -516,7 +514,7 @@ class Orienter(Closeable):
 
         doubt = self._doubt(poses, pose, sure)
         far = self._far(moved_m[0])
-        names = ("heading_sd_deg", "pitch_sd_deg", "roll_sd_deg", "fov_sd_deg")
+        names = (f"{name}_sd_deg" for name in ANGLES)
         errors_deg = dict(zip(names, poses.figures().angle_sd_deg[0].tolist(), strict=True))
         return Orientation(
             skyline,

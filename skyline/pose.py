@@ -14,7 +14,7 @@ from skyline.errors import InputError
 from skyline.geodesy.bounds import are_degrees, in_turn
 from skyline.geodesy.map_frame import Frame, geodesic_m
 from skyline.photo.skyline import PhotoSkyline
-from skyline.pose_errors import ASSUMED
+from skyline.pose_errors import ANGLES, ASSUMED, WARP
 
 RIGHT_WITHIN_M = 200.0
 """Largest error of an answer that is right. Poses farther apart are different answers."""
@@ -49,7 +49,7 @@ _WRITTEN = (
 _NEEDED = ("lon", "lat", "heading_deg", "fov_deg")
 """What a record of a pose must have for `NotedPose.from_dict`."""
 _OPTIONAL = ("pitch_deg", "roll_deg", "distortion", "eye_elevation_m", "eye_height_m")
-_UNKNOWNS = (7, 8, 7 + len(WANDER_DEGREES))
+_UNKNOWNS = (WARP, WARP + 1, WARP + len(WANDER_DEGREES))
 """Numbers of rows that `Pose.covariance` may have: without a distortion, with it, and with a
 panorama's wander."""
 _MOST = {"pitch_deg": 90.0, "roll_deg": 180.0, "distortion": MOST_DISTORTION}
@@ -212,6 +212,13 @@ class Pose:
     def assumed(self, photo: PhotoSkyline) -> str:
         """Return assumed standard errors in words; empty if the covariance is known."""
         return "" if self.covariance is not None else ASSUMED.in_words(self.camera(photo))
+
+    def angles_in_words(self, sds_deg: Mapping[str, float]) -> str:
+        """Return the angles with their standard errors, by the names of `ANGLES`."""
+        heading, *others = (
+            f"{name} {getattr(self, f'{name}_deg'):.2f} +- {sds_deg[name]:.2f}" for name in ANGLES
+        )
+        return "  ".join([f"{heading} from true north", *others]) + " degrees"
 
     def distance_m(self, other: "Pose") -> float:
         """Return the horizontal distance to another pose, metres."""

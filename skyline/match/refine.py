@@ -29,9 +29,6 @@ from skyline.match.solver import (
     EYE_HEIGHT,
     FINE,
     FOLLOW,
-    HEADING,
-    LOG_SCALE,
-    ROLL,
     ROUGH,
     SCOUT,
     TEMPERATURE,
@@ -47,6 +44,7 @@ from skyline.pose import (
     FitFigures,
     Poses,
 )
+from skyline.pose_errors import HEADING, LOG_SCALE, ROLL
 from skyline.render.horizon import RenderedScene
 from skyline.skylines import joined_views
 from skyline.terrain.heightfield import ground_slope
