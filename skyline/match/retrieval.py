@@ -295,7 +295,7 @@ class Retriever:
 
         They start from headings all the way round. No place is screened out, so there must be few.
         """
-        row, heading_rad, log_scale = np.meshgrid(
+        row, grid_heading_rad, log_scale = np.meshgrid(
             np.arange(len(self)),
             np.radians(np.arange(0.0, 360.0, _EFFORT.heading_step_deg)),
             _even_log_scales(rays, *rays.log_scale_bounds, _EFFORT.start_step),
@@ -304,7 +304,7 @@ class Retriever:
         starts = Starts(
             row=row.ravel(),
             score=np.zeros(row.size, dtype=np.float32),
-            heading_rad=heading_rad.ravel(),
+            grid_heading_rad=grid_heading_rad.ravel(),
             log_scale=log_scale.ravel(),
         )
         return self._fitted([rays], [starts], _EFFORT.good_most, silent)[0]
@@ -377,15 +377,15 @@ class Retriever:
             lambda shard, _, mine: shard.best_turns(screen, mine, turns),
             Turns.concatenate,
         )
-        peak = found.peak.ravel()
-        best = np.sort(np.argsort(-peak, kind="stable")[:count])
+        score = found.score.ravel()
+        best = np.sort(np.argsort(-score, kind="stable")[:count])
         # In a narrow range of headings a place may have fewer turns than are asked for.
-        best = best[peak[best] > -np.inf]
+        best = best[score[best] > -np.inf]
         place = best // turns
         return Starts(
             row=alike.row[place],
             score=alike.score[place],
-            heading_rad=np.radians(found.heading_deg.ravel()[best]),
+            grid_heading_rad=np.radians(found.grid_heading_deg.ravel()[best]),
             log_scale=log_scales[found.fov.ravel()[best]],
         )
 

@@ -44,17 +44,23 @@ class Starts(Rows):
     row: IntArray
     """(N,) intp. Row of the place."""
     score: Float32Array
-    heading_rad: Float64Array
+    """(N,) float32. Score of the place, as `Alike` has it."""
+    grid_heading_rad: Float64Array
+    """(N,) float64. From grid north."""
     log_scale: Float64Array
+    """(N,) float64. `Rays.log_scale` of the field of view."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Turns(Rows):
     """The best C turns of each of N places; see `Screen.best_turns`."""
 
-    heading_deg: Float64Array
+    grid_heading_deg: Float64Array
+    """(N, C) float64. From grid north."""
     fov: IntArray
-    peak: Float32Array
+    """(N, C) intp. Index of the field of view among those of the screen."""
+    score: Float32Array
+    """(N, C) float32. Score of the turn; -inf where there is none."""
 
 
 class Shard(Protocol):
@@ -155,8 +161,8 @@ class LocalShard:
 
         def found(k: int) -> Turns:
             phase = self._places.phases(rows[k : k + CHOSEN_AT_ONCE])
-            heading_deg, fov, peak = screen.best_turns(phase, count)
-            return Turns(heading_deg=heading_deg, fov=fov, peak=peak)
+            grid_heading_deg, fov, score = screen.best_turns(phase, count)
+            return Turns(grid_heading_deg=grid_heading_deg, fov=fov, score=score)
 
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             return Turns.concatenate(list(pool.map(found, groups)))
@@ -171,7 +177,7 @@ class LocalShard:
             part = starts[slice(first, first + _FITS_AT_ONCE)]
             places = self._places.take(part.row)
             fit = CurveFit(places, self._slope(places), means, effort)
-            poses = fit.fit(part.heading_rad, part.log_scale)
+            poses = fit.fit(part.grid_heading_rad, part.log_scale)
             # Both count: a fit compares more than screening does, but assumes that the photo was
             # taken near its place.
             return replace(poses, cost=poses.cost - part.score)
