@@ -14,11 +14,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pyproj import CRS
 
-from skyline.arrays import Float32Array, Float64Array, IntArray, Progress, refuse_text
+from skyline.arrays import Float32Array, Float64Array, IntArray, refuse_text
 from skyline.errors import InputError, library
 from skyline.geodesy.crs import lonlat_of, transformer
 from skyline.geodesy.earth import Curvature
 from skyline.horizons import steps_a_turn
+from skyline.progress import Progress
 from skyline.render.horizon import PanoramaRenderer
 from skyline.sky_view import sky_view_factor
 from skyline.terrain.dem import Dem, read_dem

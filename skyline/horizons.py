@@ -18,11 +18,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pyproj import CRS
 
-from skyline.arrays import Float32Array, Float64Array, Progress, UInt8Array, refuse_text
+from skyline.arrays import Float32Array, Float64Array, UInt8Array, refuse_text
 from skyline.errors import InputError, library
 from skyline.geodesy.bounds import are_degrees, in_turn
 from skyline.geodesy.crs import WGS84
 from skyline.geodesy.earth import Curvature
+from skyline.progress import Progress
 from skyline.render.horizon import PanoramaRenderer
 from skyline.sky_view import sky_view_factor
 from skyline.skylines import MAX_WIDTH, Horizons

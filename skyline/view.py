@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from pyproj import CRS
 
-from skyline.arrays import BoolArray, Float32Array, Float64Array, Progress, ShortRepr
+from skyline.arrays import BoolArray, Float32Array, Float64Array, ShortRepr
 from skyline.camera import in_picture
 from skyline.errors import InputError, library, suffix_of
 from skyline.files import write_whole
@@ -38,6 +38,7 @@ from skyline.peaks import (
 )
 from skyline.photo.skyline import PhotoSkyline
 from skyline.pose import NotedPose, Pose
+from skyline.progress import Progress
 from skyline.render.context import Closeable, RenderThread
 from skyline.render.horizon import RenderConfig, RenderedScene
 from skyline.skylines import HEADINGS, Views

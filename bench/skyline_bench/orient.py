@@ -19,12 +19,12 @@ from PIL import Image
 from typer import Option
 
 from skyline import Orientation, Orienter, PhotoSkyline, read_dem
-from skyline.arrays import Progress
 from skyline.cli.terminal import Terminal
 from skyline.errors import InputError, SkylineError
 from skyline.geodesy.bounds import in_turn
 from skyline.geodesy.map_frame import Rectangle
 from skyline.orientation import DEFAULT_POSITION_SD_M, RIGHT_DEG, Place, orienters
+from skyline.progress import Progress
 from skyline.render.depth import DepthRenderer
 from skyline.survey.plans import map_bounds
 from skyline.terrain.heightfield import HeightField

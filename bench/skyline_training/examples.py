@@ -21,7 +21,7 @@ from typing import TypeVar
 import numpy as np
 
 from skyline import Matcher, build_places, read_dem
-from skyline.arrays import Float64Array, Progress
+from skyline.arrays import Float64Array
 from skyline.errors import InputError
 from skyline.geodesy.bounds import in_turn
 from skyline.geodesy.map_frame import Rectangle
@@ -32,6 +32,7 @@ from skyline.photo.extract import extract_skyline
 from skyline.photo.noted_fov import CROP_SHARES, NOMINAL_SD
 from skyline.photo.skyline import Lens
 from skyline.pose import SAME_VIEW_DEG, Poses
+from skyline.progress import Progress
 from skyline.render.depth import DepthRenderer
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.provenance import DemOptions

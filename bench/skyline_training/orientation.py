@@ -14,13 +14,13 @@ from pathlib import Path
 import numpy as np
 
 from skyline import Orienter
-from skyline.arrays import Progress
 from skyline.errors import SkylineError
 from skyline.geodesy.bounds import in_turn
 from skyline.match import confidence
 from skyline.match.confidence import ORIENTED, Logistic
 from skyline.match.prior import Narrowing
 from skyline.orientation import LEAST_CONFIDENCE, RIGHT_DEG, Place, orienters
+from skyline.progress import Progress
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.measuring import Row
 from skyline_bench.queries.kinds import perturbed, resampled

@@ -17,7 +17,6 @@ import numpy as np
 from PIL.Image import Image
 from pyproj import CRS
 
-from skyline.arrays import Progress
 from skyline.errors import InputError, SkylineError, StoreError
 from skyline.files import is_file, on_disk
 from skyline.geodesy.map_frame import Frame
@@ -29,7 +28,6 @@ from skyline.match.prior import NOTHING_KNOWN, Narrowing, PlacePrior, Prior
 from skyline.match.rays import Rays
 from skyline.match.refine import VIEW_WIDTH
 from skyline.match.result import TOP, JointResult, MatchResult
-from skyline.match.screen import ReportProgress, silent
 from skyline.match.shard import Shard
 from skyline.match.verdict import Verdict, candidate_reached, too_little
 from skyline.match.walk import check_times, joined
@@ -38,6 +36,7 @@ from skyline.photo.read import named_skyline
 from skyline.photo.skyline import PhotoSkyline
 from skyline.plugins import load
 from skyline.pose import Pose, Poses
+from skyline.progress import Progress, StepProgress, silent
 from skyline.render.context import Closeable, RenderThread
 from skyline.render.horizon import RenderConfig, RenderedScene
 from skyline.store.layout import StoreHeader
@@ -246,7 +245,7 @@ class Matcher(Closeable):
         fov_deg: float | None = None,
         top: int = TOP,
         narrowing: Narrowing | None = None,
-        report_progress: ReportProgress = silent,
+        report_progress: StepProgress = silent,
     ) -> MatchResult:
         """Find where a photo was taken, or its mask, trace or skyline.
 
@@ -320,7 +319,7 @@ class Matcher(Closeable):
         fov_deg: float | None = None,
         top: int = TOP,
         narrowings: Sequence[Narrowing | None] | None = None,
-        report_progress: ReportProgress = silent,
+        report_progress: StepProgress = silent,
     ) -> JointResult:
         """Find the one place where several photos were taken.
 
@@ -385,7 +384,7 @@ class Matcher(Closeable):
         return JointResult(results, seconds, verdict.refusal, known)
 
     def posterior(
-        self, result: MatchResult | JointResult, report_progress: ReportProgress = silent
+        self, result: MatchResult | JointResult, report_progress: StepProgress = silent
     ) -> Posterior:
         """Return the probability that a photo was taken at each place.
 
@@ -415,7 +414,7 @@ class Matcher(Closeable):
         results: Sequence[MatchResult | JointResult],
         times: Sequence[datetime],
         walked_km_h: float,
-        report_progress: Progress | None = None,
+        progress: Progress | None = None,
     ) -> list[Posterior]:
         """Return the posterior of each photo of a walk, from all photos.
 
@@ -430,7 +429,7 @@ class Matcher(Closeable):
             When each was taken, all by one clock: all with a zone, or none.
         walked_km_h : float
             Greatest speed, kilometres per hour.
-        report_progress : callable, optional
+        progress : callable, optional
             Called with the numbers of photos that are done, and of all.
 
         Raises
@@ -451,8 +450,8 @@ class Matcher(Closeable):
         order = sorted(range(len(results)), key=lambda number: times[number])
         known = []
         for done, number in enumerate(order):
-            if report_progress is not None:
-                report_progress(done, len(order))
+            if progress is not None:
+                progress(done, len(order))
             known.append(self._likely_places(results[number], silent))
         grid = MapGrid.around((places, candidates) for candidates, _, places, _ in known)
         alone = [
@@ -464,7 +463,7 @@ class Matcher(Closeable):
         return [together[order.index(number)] for number in range(len(order))]
 
     def _likely_places(
-        self, result: MatchResult | JointResult, report_progress: ReportProgress
+        self, result: MatchResult | JointResult, report_progress: StepProgress
     ) -> tuple[Sequence[Pose], Poses, AlikePlaces, PlacePrior | None]:
         """Return what `posterior_of` takes of a search: candidates, fits, places, noted place."""
         photos, candidates = _searched(result)
@@ -499,7 +498,7 @@ class Matcher(Closeable):
         return read
 
     def _found_together(
-        self, usable: Mapping[int, tuple[Rays, Prior]], top: int, report: ReportProgress
+        self, usable: Mapping[int, tuple[Rays, Prior]], top: int, report: StepProgress
     ) -> dict[int, tuple[Pose, ...]]:
         """Return the candidates of the photos that agree, by number.
 

@@ -26,9 +26,10 @@ from skyline.match.fit import GOOD_FIT, ROUGH_FIT, FitEffort
 from skyline.match.posterior import AlikePlaces
 from skyline.match.prior import NOTHING_KNOWN, Prior
 from skyline.match.rays import REFERENCE_FOV_DEG, Rays
-from skyline.match.screen import Alike, ReportProgress, Screen, silent
+from skyline.match.screen import Alike, Screen
 from skyline.match.shard import Shard, Starts, Turns
 from skyline.pose import Poses
+from skyline.progress import StepProgress, silent
 from skyline.store.places import Places
 
 T = TypeVar("T")
@@ -180,7 +181,7 @@ class Retriever:
         rays: Rays,
         count: int,
         prior: Prior = NOTHING_KNOWN,
-        report: ReportProgress = silent,
+        report: StepProgress = silent,
     ) -> Poses:
         """Return the last of `shortlists`."""
         *_, last = self.shortlists(rays, count, prior, report)
@@ -191,7 +192,7 @@ class Retriever:
         rays: Rays,
         count: int,
         prior: Prior = NOTHING_KNOWN,
-        report: ReportProgress = silent,
+        report: StepProgress = silent,
     ) -> Iterator[Poses]:
         """Yield short lists of a photo's likely poses, each from more places.
 
@@ -216,7 +217,7 @@ class Retriever:
         screens: Sequence[Sequence[Screen]],
         priors: Sequence[Prior],
         counts: Sequence[int],
-        report: ReportProgress,
+        report: StepProgress,
     ) -> Iterator[Alike]:
         """Yield the places of each short list that earlier lists lack.
 
@@ -244,7 +245,7 @@ class Retriever:
         screens: Sequence[Screen],
         priors: Sequence[Prior],
         count: int,
-        report: ReportProgress,
+        report: StepProgress,
     ) -> Alike:
         """Return the best ``count`` places of all shards, best first."""
         known = [prior.in_frames(self._frames) for prior in priors]
@@ -274,7 +275,7 @@ class Retriever:
         )
 
     def alike_places(
-        self, photos: Sequence[tuple[Rays, Prior]], report: ReportProgress = silent
+        self, photos: Sequence[tuple[Rays, Prior]], report: StepProgress = silent
     ) -> AlikePlaces:
         """Return all places within the narrowings of photos, with scores.
 
@@ -313,7 +314,7 @@ class Retriever:
         self,
         photos: Sequence[tuple[Rays, Prior]],
         count: int,
-        report: ReportProgress = silent,
+        report: StepProgress = silent,
     ) -> list[Poses]:
         """Return up to ``count`` likely common places, best first.
 
@@ -394,7 +395,7 @@ class Retriever:
         photos: Sequence[Rays],
         starts: Sequence[Starts],
         count: int,
-        report: ReportProgress,
+        report: StepProgress,
     ) -> list[Poses]:
         """Return the photos' poses fitted well from the ``count`` best common starts.
 
@@ -412,7 +413,7 @@ class Retriever:
             for rays, start in zip(photos, starts, strict=True)
         ]
 
-    def _fits(self, rays: Rays, starts: Starts, effort: FitEffort, report: ReportProgress) -> Poses:
+    def _fits(self, rays: Rays, starts: Starts, effort: FitEffort, report: StepProgress) -> Poses:
         """Return the poses fitted from starts, in order.
 
         They have sites if there are several areas.
@@ -427,7 +428,7 @@ class Retriever:
         return poses.sited(self._area[self._shard_of(starts.row)], self._frames)
 
 
-def _report_part(report: ReportProgress, done: float, share: float, step: str, part: float) -> None:
+def _report_part(report: StepProgress, done: float, share: float, step: str, part: float) -> None:
     """Report part of a shard's work as a share of all work."""
     report(step, done + share * part)
 

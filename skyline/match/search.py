@@ -20,10 +20,10 @@ from skyline.match.prior import Narrowing, Prior
 from skyline.match.rays import Rays
 from skyline.match.refine import QUICK, WHOLE, Effort, Refinement, together
 from skyline.match.retrieval import Retriever
-from skyline.match.screen import ReportProgress, silent
 from skyline.match.shard import LocalShard, Shard
 from skyline.match.together import JointRefinement
 from skyline.pose import Pose, Poses
+from skyline.progress import StepProgress, silent
 from skyline.render.horizon import RenderedScene
 from skyline.store.layout import PLACES
 from skyline.store.read import Store
@@ -122,7 +122,7 @@ class FullMatcher(SearchMethod):
         east_m, north_m, eye_m = (column.astype(np.float64) for column in eyes)
         return Viewpoints(easting_m=east_m, northing_m=north_m, eye_elevation_m=eye_m)
 
-    def search(self, rays: Rays, prior: Prior, top: int, report: ReportProgress = silent) -> Poses:
+    def search(self, rays: Rays, prior: Prior, top: int, report: StepProgress = silent) -> Poses:
         """Return up to ``top`` poses with confidences, best first; see `SearchMethod.search`."""
         found, poses = self.found(rays, prior, report)
         if not len(found):
@@ -146,7 +146,7 @@ class FullMatcher(SearchMethod):
 
     @one_blas_thread()
     def found(
-        self, rays: Rays, prior: Prior, report: ReportProgress = silent
+        self, rays: Rays, prior: Prior, report: StepProgress = silent
     ) -> tuple[Poses, Poses | None]:
         """Return the poses retrieved for a photo, and the refined ones.
 
@@ -166,7 +166,7 @@ class FullMatcher(SearchMethod):
         return found, self._refined(WHOLE, rays, prior, _with_noted(found, noted), report)
 
     def _refined(
-        self, effort: Effort, rays: Rays, prior: Prior, poses: Poses, report: ReportProgress
+        self, effort: Effort, rays: Rays, prior: Prior, poses: Poses, report: StepProgress
     ) -> Poses:
         """Return distinct poses that fit, best first; see `Refinement.run`.
 
@@ -191,7 +191,7 @@ class FullMatcher(SearchMethod):
 
     @one_blas_thread()
     def likely_places(
-        self, photos: Sequence[tuple[Rays, Prior]], report: ReportProgress = silent
+        self, photos: Sequence[tuple[Rays, Prior]], report: StepProgress = silent
     ) -> tuple[Poses, AlikePlaces]:
         """Return what is known of all places; see `SearchMethod.likely_places`."""
         if len(photos) == 1:
@@ -253,7 +253,7 @@ class FullMatcher(SearchMethod):
         self,
         photos: Sequence[tuple[Rays, Prior]],
         top: int,
-        report: ReportProgress = silent,
+        report: StepProgress = silent,
     ) -> tuple[list[Poses], BoolArray]:
         """Return the best common places of photos; see `SearchMethod.search_together`.
 
@@ -301,7 +301,7 @@ class FullMatcher(SearchMethod):
             raise InputError(BY_RENDERING)
         return scene
 
-    def _near_noted(self, rays: Rays, prior: Prior, report: ReportProgress) -> Poses | None:
+    def _near_noted(self, rays: Rays, prior: Prior, report: StepProgress) -> Poses | None:
         """Return the poses retrieved around the photo's noted place; None without one."""
         near_noted = prior.near_noted()
         if near_noted is None:

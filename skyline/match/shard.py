@@ -18,17 +18,9 @@ from skyline.match.fit import CurveFit, FitEffort
 from skyline.match.posterior import AlikePlaces
 from skyline.match.prior import Prior
 from skyline.match.rays import Rays, in_runs
-from skyline.match.screen import (
-    CHOSEN_AT_ONCE,
-    Alike,
-    ReportProgress,
-    Scores,
-    Screen,
-    rescored,
-    screen_places,
-    silent,
-)
+from skyline.match.screen import CHOSEN_AT_ONCE, Alike, Scores, Screen, rescored, screen_places
 from skyline.pose import Poses
+from skyline.progress import Step, StepProgress, silent
 from skyline.store.mapped_places import PlaceSource
 from skyline.store.places import Places
 from skyline.terrain.heightfield import Ground, ground_slope
@@ -78,7 +70,7 @@ class Shard(Protocol):
         priors: Sequence[Prior],
         count: int,
         least: float = -math.inf,
-        report: ReportProgress = silent,
+        report: StepProgress = silent,
     ) -> Alike:
         """Return the best ``count`` places for photos, whose scores are added.
 
@@ -87,7 +79,7 @@ class Shard(Protocol):
         """
 
     def alike_places(
-        self, screens: Sequence[Screen], priors: Sequence[Prior], report: ReportProgress = silent
+        self, screens: Sequence[Screen], priors: Sequence[Prior], report: StepProgress = silent
     ) -> AlikePlaces:
         """Return all places within all narrowings, with their scores for photos."""
 
@@ -98,7 +90,7 @@ class Shard(Protocol):
         """Return the best turns of places (M,)."""
 
     def fitted(
-        self, rays: Rays, starts: Starts, effort: FitEffort, report: ReportProgress = silent
+        self, rays: Rays, starts: Starts, effort: FitEffort, report: StepProgress = silent
     ) -> Poses:
         """Return the poses fitted from starts, in order."""
 
@@ -126,7 +118,7 @@ class LocalShard:
         priors: Sequence[Prior],
         count: int,
         least: float = -math.inf,
-        report: ReportProgress = silent,
+        report: StepProgress = silent,
     ) -> Alike:
         """See `Shard.screened`."""
 
@@ -138,7 +130,7 @@ class LocalShard:
         return found[found.score >= least]
 
     def alike_places(
-        self, screens: Sequence[Screen], priors: Sequence[Prior], report: ReportProgress = silent
+        self, screens: Sequence[Screen], priors: Sequence[Prior], report: StepProgress = silent
     ) -> AlikePlaces:
         """See `Shard.alike_places`."""
         alike = self.screened(screens, priors, len(self), report=report)
@@ -168,7 +160,7 @@ class LocalShard:
             return Turns.concatenate(list(pool.map(found, groups)))
 
     def fitted(
-        self, rays: Rays, starts: Starts, effort: FitEffort, report: ReportProgress = silent
+        self, rays: Rays, starts: Starts, effort: FitEffort, report: StepProgress = silent
     ) -> Poses:
         """See `Shard.fitted`."""
         means = in_runs(rays, effort.runs)
@@ -188,7 +180,7 @@ class LocalShard:
             try:
                 for poses in pool.map(fitted, parts):
                     found.append(poses)
-                    report("fitting", len(found) / len(parts))
+                    report(Step.FITTING, len(found) / len(parts))
             except BaseException:
                 # The report may end the match: fits that have not begun are dropped.
                 pool.shutdown(cancel_futures=True)

@@ -14,7 +14,6 @@ from itertools import takewhile
 from pathlib import Path
 from typing import TypeVar
 
-from skyline.arrays import Progress
 from skyline.batch import Entry, match_here, match_many
 from skyline.cache import store_of
 from skyline.errors import (
@@ -37,6 +36,7 @@ from skyline.peaks import Peaks, read_peaks
 from skyline.photo.image import EXPECTED
 from skyline.photo.skyline import PhotoSkyline
 from skyline.plugins import names_of
+from skyline.progress import Progress
 from skyline.report.exports import EXPORTS, export_matches
 from skyline.report.folder import check_report_folder
 from skyline.report.geotiff import GEOTIFFS

@@ -12,12 +12,10 @@ from typing import Any, TypeVar
 from skyline import Narrowing, RenderThread, SkylineError
 from skyline.cache import prepare_area
 from skyline.location import area_of
+from skyline.progress import Progress, Step, StepProgress
 from skyline.web.area import PageArea, shown_name
 
 T = TypeVar("T")
-
-ReportProgress = Callable[[str, float], None]
-"""Called with the name of a step, and its finished share."""
 
 _WORKERS = {"photos": 2, "strokes": 2, "matches": 3, "live": 4, "files": 1}
 """Number of threads of each kind of work; no kind waits for another."""
@@ -79,7 +77,7 @@ class Engine:
             "given": [shown_name(path.name) for path in self.photos],
         }
 
-    def area_for(self, photo: Path, narrowing: Narrowing, report: ReportProgress) -> PageArea:
+    def area_for(self, photo: Path, narrowing: Narrowing, report: StepProgress) -> PageArea:
         """Return the area in which a photo is searched.
 
         It is the area of the narrowing, or else of the photo's own position, made if it is missing.
@@ -90,7 +88,7 @@ class Engine:
         box, _ = area_of([photo], narrowing)
 
         @contextmanager
-        def bar(step: str) -> Iterator[Callable[[int, int], None]]:
+        def bar(step: Step) -> Iterator[Progress]:
             report(step, 0.0)
             yield lambda done, total: report(step, done / max(1, total))
 

@@ -27,6 +27,7 @@ from skyline import (
     read_photo,
 )
 from skyline.location import area_of
+from skyline.progress import Step
 from skyline.web.area import PageArea, shown_name
 from skyline.web.engine import Engine
 from skyline.web.messages import outcome_json
@@ -35,12 +36,16 @@ _SHOWN_PX = 6000
 """Longest side of the picture sent to the page."""
 _IN_MEMORY = 4
 """Number of photos whose pixels and evidence stay in memory."""
-_STEPS = {"screening": (0.0, 0.25), "fitting": (0.25, 0.5), "refining": (0.5, 1.0)}
+_STEPS: Mapping[str, tuple[float, float]] = {
+    Step.SCREENING: (0.0, 0.25),
+    Step.FITTING: (0.25, 0.5),
+    Step.REFINING: (0.5, 1.0),
+}
 """Beginning and end of each step of a match, as shares of the whole."""
-_MAKING = {
-    "fetching tiles": (0.0, 0.3),
-    "reading the elevation model": (0.3, 0.35),
-    "building the store": (0.35, 0.85),
+_MAKING: Mapping[str, tuple[float, float]] = {
+    Step.FETCHING: (0.0, 0.3),
+    Step.READING: (0.3, 0.35),
+    Step.BUILDING: (0.35, 0.85),
 }
 """Beginning and end of each step in which an area is made, as shares of these steps and the
 match."""

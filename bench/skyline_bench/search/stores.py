@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 
 from skyline import build_places, build_uniform
-from skyline.arrays import Progress
 from skyline.errors import InputError
 from skyline.geodesy.bounds import Bounds
 from skyline.paper.build import build_planned
 from skyline.paper.plan import PlanConfig
+from skyline.progress import Progress
 from skyline.skylines import HEADINGS
 from skyline.store.layout import PLACES, RENDERINGS
 from skyline.store.places import Places
