@@ -36,6 +36,7 @@ from skyline.progress import Progress
 from skyline.render.depth import DepthRenderer
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.provenance import DemOptions
+from skyline_bench.measuring import middle_of
 from skyline_bench.queries.kinds import perturbed, resampled
 from skyline_bench.queries.made_photos import Scenery
 from skyline_bench.queries.synthetic import QueryConfig, SyntheticQuery, make_queries
@@ -157,7 +158,7 @@ def _examples_on(
     apart.
     """
     other, coarse = perturbed(terrain, seed=seed), resampled(terrain, COARSE_M)
-    area, wide = middle_of(terrain, SIDE_M, OUTSIDE), middle_of(terrain, WIDE_M, OUTSIDE)
+    area, wide = built_of(terrain, SIDE_M, OUTSIDE), built_of(terrain, WIDE_M, OUTSIDE)
 
     def made(
         seen: HeightField, area_m: Rectangle, number: int, config: QueryConfig
@@ -182,7 +183,7 @@ def _examples_on(
     strangers = _without_prior(strangers_of(strange, queries, seed))
     found: dict[str, list[Example]] = {name: [] for name in STAGES}
     for model, side_m, kinds in ((terrain, SIDE_M, own), (coarse, WIDE_M, in_coarse)):
-        with _matcher(model, middle_of(model, side_m), folder, places) as matcher:
+        with _matcher(model, built_of(model, side_m), folder, places) as matcher:
             for kind, some in kinds.items():
                 for stage, example in examples_from(matcher, some, kind):
                     found[stage].append(example)
@@ -297,15 +298,14 @@ def _example(
     )
 
 
-def middle_of(terrain: HeightField, side_m: float = SIDE_M, wider: float = 1.0) -> Rectangle:
+def built_of(terrain: HeightField, side_m: float = SIDE_M, wider: float = 1.0) -> Rectangle:
     """Return the square in a terrain's middle that is built.
 
     ``wider`` is a factor on its side.
     """
     west, south, east, north = terrain.bounds_m
-    half = 0.5 * min(side_m, 0.7 * (east - west), 0.7 * (north - south))
-    middle = np.array([(west + east) / 2.0, (south + north) / 2.0])
-    return (*(middle - wider * half), *(middle + wider * half))
+    side_m = wider * min(side_m, 0.7 * (east - west), 0.7 * (north - south))
+    return middle_of(terrain.bounds_m, (side_m, side_m))
 
 
 def strangers_of(terrain: HeightField, queries: int, seed: int) -> list[SyntheticQuery]:
@@ -314,7 +314,7 @@ def strangers_of(terrain: HeightField, queries: int, seed: int) -> list[Syntheti
     Plain ones and photographs are among them. There is a stranger of each kind for every
     `STRANGERS_SHARE` of ``queries``.
     """
-    count, area = max(queries // STRANGERS_SHARE, 1), middle_of(terrain)
+    count, area = max(queries // STRANGERS_SHARE, 1), built_of(terrain)
     made = {
         kind: with_lenses(make_queries(terrain, area, count, number, kind), number)
         for number, kind in enumerate((*KINDS, _PLAIN, PHOTO), start=seed + 100)

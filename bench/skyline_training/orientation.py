@@ -32,7 +32,7 @@ from skyline_training.examples import (
     LEARNED,
     PHOTO,
     Example,
-    middle_of,
+    built_of,
     on_each_terrain,
     photographed,
     read_terrains,
@@ -60,7 +60,7 @@ def _gathered_on(data: Path, queries: int, seed: int, name: str) -> list[Example
     There are queries of the terrain, of others like it and of a coarse model, and strangers.
     """
     terrain, strange = read_terrains(data, name)
-    area = middle_of(terrain)
+    area = built_of(terrain)
     other, coarse = perturbed(terrain, seed=seed), resampled(terrain, COARSE_M)
     own = [(terrain, terrain, kind) for kind in KINDS] + [(terrain, other, kind) for kind in KINDS]
     examples = list[Example]()
@@ -81,7 +81,7 @@ def _oriented(
     Places are drawn about the true ones; strangers have any place.
     """
     rng = np.random.default_rng([seed, 1])
-    west, south, east, north = middle_of(model)
+    west, south, east, north = built_of(model)
     with orienters(model) as orienter_at:
         for number, query in enumerate(queries):
             position_sd_m, truth = POSITION_SDS_M[number % len(POSITION_SDS_M)], query.truth
