@@ -20,8 +20,8 @@ from .ground import GroundView as GroundView
 from .horizons import LocalHorizons as LocalHorizons
 from .horizons import horizon as horizon
 from .location import locate as locate
+from .match.areas import MatchedArea as MatchedArea
 from .match.config import MatchConfig as MatchConfig
-from .match.matcher import MatchedArea as MatchedArea
 from .match.matcher import Matcher as Matcher
 from .match.posterior import Posterior as Posterior
 from .match.prior import Narrowing as Narrowing

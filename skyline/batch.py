@@ -19,7 +19,8 @@ from typing import Any, cast
 from skyline.camera import Projection
 from skyline.errors import InputError, SkylineError
 from skyline.files import REPORT_PAGE, STANDARD, is_own_page, read_bytes, version_of
-from skyline.match.matcher import Matcher, paths_of
+from skyline.match.areas import paths_of
+from skyline.match.matcher import Matcher
 from skyline.match.prior import Narrowing
 from skyline.match.result import MatchResult
 from skyline.photo.image import opened_image, photos_in

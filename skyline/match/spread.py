@@ -14,8 +14,8 @@ from typing import Any
 
 from skyline.arrays import Float32Array, IntArray
 from skyline.files import version_of
+from skyline.match.areas import terrain_at_hand
 from skyline.match.fit import FitEffort
-from skyline.match.matcher import terrain_at_hand
 from skyline.match.posterior import AlikePlaces
 from skyline.match.prior import Prior
 from skyline.match.rays import Rays
