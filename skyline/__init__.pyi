@@ -29,6 +29,7 @@ from .match.result import JointResult as JointResult
 from .match.result import MatchResult as MatchResult
 from .match.result import to_dataframe as to_dataframe
 from .match.result import to_geodataframe as to_geodataframe
+from .noted_pose import NotedPose as NotedPose
 from .orientation import Orientation as Orientation
 from .orientation import Orienter as Orienter
 from .orientation import orient as orient
@@ -46,7 +47,6 @@ from .photo.strokes import StrokeKind as StrokeKind
 from .photo.trace import read_trace as read_trace
 from .photo.trace import write_trace as write_trace
 from .pose import Ellipse as Ellipse
-from .pose import NotedPose as NotedPose
 from .pose import Pose as Pose
 from .render.context import RenderThread as RenderThread
 from .render.horizon import RenderConfig as RenderConfig

@@ -28,6 +28,7 @@ from skyline.geodesy.bounds import in_turn
 from skyline.geodesy.crs import WGS84
 from skyline.geodesy.earth import Curvature
 from skyline.ground import GroundView
+from skyline.noted_pose import NotedPose
 from skyline.peaks import (
     Peaks,
     Sighting,
@@ -37,7 +38,7 @@ from skyline.peaks import (
     visible_peaks,
 )
 from skyline.photo.skyline import PhotoSkyline
-from skyline.pose import NotedPose, Pose
+from skyline.pose import Pose
 from skyline.progress import Progress
 from skyline.render.context import Closeable, RenderThread
 from skyline.render.horizon import RenderConfig, RenderedScene

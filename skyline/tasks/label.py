@@ -11,12 +11,13 @@ from skyline.arrays import UInt8Array
 from skyline.camera import Projection
 from skyline.errors import InputError, some_of, suffix_of
 from skyline.files import check_outputs, write_whole
+from skyline.noted_pose import NotedPose
 from skyline.orientation import orienters
 from skyline.peaks import read_peaks
 from skyline.photo.photo import read_photo
 from skyline.photo.read import find_skyline
 from skyline.photo.skyline import PhotoSkyline
-from skyline.pose import NotedPose, Pose
+from skyline.pose import Pose
 from skyline.pose_file import read_posed
 from skyline.sun import Body, Sky
 from skyline.tasks.listener import Listener

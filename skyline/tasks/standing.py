@@ -16,7 +16,8 @@ from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints, stand_at
 
 if TYPE_CHECKING:
-    from skyline.pose import NotedPose, Pose
+    from skyline.noted_pose import NotedPose
+    from skyline.pose import Pose
     from skyline.view import Viewer
 
 _log = logging.getLogger(__name__)
