@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from skyline.arrays import BoolArray, Float64Array
-from skyline.camera import WANDER_DEGREES, Camera
+from skyline.camera import Camera
 from skyline.errors import InputError, OffMapError, printable
 from skyline.geodesy.bounds import in_turn
 from skyline.match.config import MatchConfig
@@ -266,9 +266,7 @@ class _Fit:
             [level, np.where(on_ground, self.height_sd_m, self.errors.place_sd_m)], axis=1
         )
         pose = self.known.pose
-        warp = pose.wander or (0.0,) * len(WANDER_DEGREES)
-        if not self.photo.projection.is_panorama:
-            warp = (pose.distortion,)
+        warp = pose.camera(self.photo).warp
         self.first = np.array(
             [pose.easting_m, pose.northing_m, pose.eye_elevation_m,
              *np.radians([pose.grid_heading_deg, pose.pitch_deg, pose.roll_deg]), 0.0, *warp]

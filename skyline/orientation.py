@@ -82,7 +82,7 @@ LEAST_LIKELY = 0.5
 """Least confidence of a heading that is not trusted, and that is more likely right than wrong."""
 
 
-class Place(NamedTuple):
+class KnownPosition(NamedTuple):
     """Where a camera stood, and how surely, as `Orienter` takes it."""
 
     lon: float
@@ -578,21 +578,21 @@ class Orienter(Closeable):
 
 
 @contextmanager
-def orienters(terrain: HeightField) -> Iterator[Callable[[Place], Orienter]]:
-    """Yield a function that returns a place's orienter.
+def orienters(terrain: HeightField) -> Iterator[Callable[[KnownPosition], Orienter]]:
+    """Yield a function that returns a position's orienter.
 
-    The orienter is reused as long as the place stays the same, as for the frames of a fixed camera.
+    The orienter is reused as long as the position stays the same, as for the frames of a fixed camera.
     It is closed only after the next one is made, so that both share the terrain's textures; the
     last is closed at the end of the block.
     """
-    made: dict[Place, Orienter] = {}
+    made: dict[KnownPosition, Orienter] = {}
 
-    def orienter_at(place: Place) -> Orienter:
-        if place not in made:
-            made[place] = Orienter(terrain, **place._asdict())
+    def orienter_at(position: KnownPosition) -> Orienter:
+        if position not in made:
+            made[position] = Orienter(terrain, **position._asdict())
             while len(made) > 1:
                 made.pop(next(iter(made))).close()
-        return made[place]
+        return made[position]
 
     try:
         yield orienter_at
@@ -647,19 +647,19 @@ def orient(  # noqa: PLR0913  (independent knowledge)
         )
     name, skyline = named_skyline(photo, fov_deg)
     lonlat_deg = None if lon is None or lat is None else (lon, lat)
-    place = place_of_camera(skyline, name, lonlat_deg, elevation_m, position_sd_m)
-    with Orienter(dem, **place._asdict()) as orienter:
+    position = known_position(skyline, name, lonlat_deg, elevation_m, position_sd_m)
+    with Orienter(dem, **position._asdict()) as orienter:
         return orienter.orient(skyline, name=name, heading_deg=heading_deg)
 
 
-def place_of_camera(
+def known_position(
     skyline: PhotoSkyline,
     name: str,
     lonlat_deg: tuple[float, float] | None,
     elevation_m: float | None,
     position_sd_m: float | None,
-) -> Place:
-    """Return the place given, or else the one that a photo notes.
+) -> KnownPosition:
+    """Return the position given, or else the one that a photo notes.
 
     Raises `InputError` for a photo without a position.
     """
@@ -671,4 +671,4 @@ def place_of_camera(
         raise InputError(
             f"{printable(name)} notes no GPS position{aside}; give the place: --at LON,LAT"
         )
-    return Place(*lonlat_deg, elevation_m, usual_m if position_sd_m is None else position_sd_m)
+    return KnownPosition(*lonlat_deg, elevation_m, usual_m if position_sd_m is None else position_sd_m)
