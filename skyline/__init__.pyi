@@ -31,8 +31,8 @@ from .match.result import to_dataframe as to_dataframe
 from .match.result import to_geodataframe as to_geodataframe
 from .noted_pose import NotedPose as NotedPose
 from .orientation import Orientation as Orientation
-from .orientation import Orienter as Orienter
-from .orientation import orient as orient
+from .orienter import Orienter as Orienter
+from .orienter import orient as orient
 from .peaks import Peaks as Peaks
 from .peaks import read_peaks as read_peaks
 from .photo.extract import Correction as Correction

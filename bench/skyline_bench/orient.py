@@ -23,7 +23,8 @@ from skyline.cli.terminal import Terminal
 from skyline.errors import InputError, SkylineError
 from skyline.geodesy.bounds import in_turn
 from skyline.geodesy.map_frame import Rectangle
-from skyline.orientation import DEFAULT_POSITION_SD_M, RIGHT_DEG, KnownPosition, orienters
+from skyline.orientation import RIGHT_DEG
+from skyline.orienter import DEFAULT_POSITION_SD_M, KnownPosition, orienters
 from skyline.progress import Progress
 from skyline.render.depth import DepthRenderer
 from skyline.survey.plans import map_bounds

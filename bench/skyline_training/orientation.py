@@ -19,7 +19,8 @@ from skyline.geodesy.bounds import in_turn
 from skyline.match import confidence
 from skyline.match.confidence import ORIENTED, Logistic
 from skyline.match.prior import Narrowing
-from skyline.orientation import LEAST_CONFIDENCE, RIGHT_DEG, KnownPosition, orienters
+from skyline.orientation import LEAST_CONFIDENCE, RIGHT_DEG
+from skyline.orienter import KnownPosition, orienters
 from skyline.progress import Progress
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.measuring import Row
@@ -91,7 +92,9 @@ def _oriented(
                 place = rng.uniform(west, east), rng.uniform(south, north)
             lon, lat = map(float, model.frame.to_lonlat(*place))
             try:
-                found = _figures_of(orienter_at(KnownPosition(lon, lat, None, position_sd_m)), query)
+                found = _figures_of(
+                    orienter_at(KnownPosition(lon, lat, None, position_sd_m)), query
+                )
             except SkylineError:  # The place is on a hole.
                 continue
             if found is not None:

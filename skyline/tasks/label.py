@@ -12,7 +12,7 @@ from skyline.camera import Projection
 from skyline.errors import InputError, some_of, suffix_of
 from skyline.files import check_outputs, write_whole
 from skyline.noted_pose import NotedPose
-from skyline.orientation import orienters
+from skyline.orienter import orienters
 from skyline.peaks import read_peaks
 from skyline.photo.photo import read_photo
 from skyline.photo.read import find_skyline

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 
 from skyline.batch import Entry
 from skyline.errors import InputError, SkylineError
-from skyline.orientation import Orientation, KnownPosition, orienters, known_position
+from skyline.orientation import Orientation
+from skyline.orienter import KnownPosition, known_position, orienters
 from skyline.photo.skyline import PhotoSkyline
 from skyline.terrain.heightfield import HeightField
 
