@@ -426,9 +426,9 @@ class Orienter(Closeable):
 def orienters(terrain: HeightField) -> Iterator[Callable[[KnownPosition], Orienter]]:
     """Yield a function that returns a position's orienter.
 
-    The orienter is reused as long as the position stays the same, as for the frames of a fixed camera.
-    It is closed only after the next one is made, so that both share the terrain's textures; the
-    last is closed at the end of the block.
+    The orienter is reused as long as the position stays the same, as for the frames of a fixed
+    camera. It is closed only after the next one is made, so that both share the terrain's textures;
+    the last is closed at the end of the block.
     """
     made: dict[KnownPosition, Orienter] = {}
 
