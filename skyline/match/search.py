@@ -18,7 +18,7 @@ from skyline.match.other_projection import OtherProjection, find_other_projectio
 from skyline.match.posterior import AlikePlaces
 from skyline.match.prior import Narrowing, Prior
 from skyline.match.rays import Rays
-from skyline.match.refine import QUICK, WHOLE, Effort, Refinement, together
+from skyline.match.refine import QUICK, WHOLE, Effort, Refinement, best_of_areas
 from skyline.match.retrieval import Retriever
 from skyline.match.shard import LocalShard, Shard
 from skyline.match.together import JointRefinement
@@ -181,7 +181,7 @@ class FullMatcher(SearchMethod):
                 continue
             found = Refinement(rays, area.scene, effort, its_prior, report=report).run(own)
             parts.append(self._sited(number, found))
-        return together(parts, effort.finalists)
+        return best_of_areas(parts, effort.finalists)
 
     def _sited(self, area: int, poses: Poses) -> Poses:
         """Return an area's poses with their sites, if there are several areas."""
