@@ -177,7 +177,7 @@ def sight_of(pose: Pose, photo: PhotoSkyline, views: Views) -> Sight:
     views : Views
         Views from the eye of the pose, at least in the directions around the photo.
     """
-    azimuth_deg = views.azimuth_deg().ravel()
+    azimuth_deg = views.grid_azimuth_deg().ravel()
     # In order from behind the camera, so that the columns ahead are one unbroken run.
     order = np.argsort((azimuth_deg - pose.grid_heading_deg + 180.0) % 360.0)
     azimuth_deg = azimuth_deg[order]
@@ -199,8 +199,8 @@ def peaks_in_picture(
     pose: Pose, photo: PhotoSkyline, sightings: Sequence[Sighting]
 ) -> list[SeenPeak]:
     """Return the peaks within the picture, in the order given."""
-    azimuth_deg = [one.azimuth_deg for one in sightings]
-    column, row = pose.camera(photo).pixels(azimuth_deg, [one.elevation_tan for one in sightings])
+    directions = np.array([(one.grid_azimuth_deg, one.elevation_tan) for one in sightings])
+    column, row = pose.camera(photo).pixels(*directions.reshape(-1, 2).T)
     shown = in_picture(column, row, photo.width_px, photo.height_px)
     return [
         SeenPeak(**asdict(sightings[one]), column_px=float(column[one]), row_px=float(row[one]))

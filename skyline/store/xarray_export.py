@@ -60,7 +60,7 @@ def table_of_places(places: Places, rows: IntArray, frame: Frame) -> Any:
 def dataset_of_views(views: Views, rows: IntArray, frame: Frame) -> Any:
     """Return views as a dataset; see `Store.to_xarray`."""
     columns = ("view", "column")
-    grid_deg = views.azimuth_deg()
+    grid_deg = views.grid_azimuth_deg()
     coords = _coordinates("view", views, rows, frame)
     coords["grid_azimuth_deg"] = columns, grid_deg, _GRID
     coords["azimuth_deg"] = columns, _from_true_north(coords, grid_deg), _TRUE
