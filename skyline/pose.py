@@ -215,13 +215,12 @@ class Pose:
         """Return the angle between two poses' headings, 0 to 180 degrees."""
         return abs(float(in_turn(self.heading_deg - other.heading_deg)))
 
-    def is_same_answer(self, other: "Pose") -> bool:
-        """Return whether another pose is the same answer.
+    def is_same_answer(self, other: "Pose", within_m: float = RIGHT_WITHIN_M) -> bool:
+        """Return whether another pose is the same answer, as far as a distance tells.
 
         It is if it lies near and looks the same way. Confidences belong to answers.
         """
-        near = self.distance_m(other) <= RIGHT_WITHIN_M
-        return near and self.turn_deg(other) <= SAME_VIEW_DEG
+        return self.distance_m(other) <= within_m and self.turn_deg(other) <= SAME_VIEW_DEG
 
     @property
     def residual_in_words(self) -> str:

@@ -40,7 +40,7 @@ from skyline.camera import Projection
 from skyline.geodesy.earth import Curvature
 from skyline.match.solver import TEMPERATURE
 from skyline.photo.skyline import PhotoSkyline
-from skyline.pose import ROUGHLY_WITHIN_M, SAME_VIEW_DEG, Pose
+from skyline.pose import ROUGHLY_WITHIN_M, Pose
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.ridges import ridges_around
 
@@ -166,7 +166,11 @@ def weighed_by_contours(
         return tuple(candidates)
     gradients = _gradients_of(photo.shades, photo)
     # Where areas overlap, poses near the best one may be on another terrain model.
-    near = [one for one in candidates if one.area == best.area and _is_of_answer(one, best)]
+    near = [
+        one
+        for one in candidates
+        if one.area == best.area and one.is_same_answer(best, ROUGHLY_WITHIN_M)
+    ]
     factors = [
         _factor(_deviations(_pieces_of(photo, one, terrain, curvature, gradients), gradients))
         for one in near
@@ -178,14 +182,9 @@ def weighed_by_contours(
     return tuple(_shared(one, best, before, after) for one in candidates)
 
 
-def _is_of_answer(one: Pose, best: Pose) -> bool:
-    """Return whether a pose is near the best and looks its way."""
-    return one.distance_m(best) <= ROUGHLY_WITHIN_M and one.turn_deg(best) <= SAME_VIEW_DEG
-
-
 def _shared(one: Pose, best: Pose, before: float, after: float) -> Pose:
     """Return a pose with its share of the new probabilities."""
-    if _is_of_answer(one, best):
+    if one.is_same_answer(best, ROUGHLY_WITHIN_M):
         share = after / before if before > 0.0 else 1.0
     else:
         share = (1.0 - after) / (1.0 - before) if before < 1.0 else 1.0
