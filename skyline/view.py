@@ -22,6 +22,7 @@ from pyproj import CRS
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, ShortRepr
 from skyline.camera import in_picture
+from skyline.cf import LAT, LON, METRES
 from skyline.errors import InputError, library, suffix_of
 from skyline.files import write_whole
 from skyline.geodesy.bounds import in_turn
@@ -251,15 +252,14 @@ class PixelPlaces(ShortRepr):
         """
         row_px, column_px = (self.step * np.arange(count) for count in self.lon.shape)
         dims = "row_px", "column_px"
-        metres = {"units": "m"}
         data: Dataset = library("xarray", "a Dataset").Dataset(
             {
-                "distance_m": (dims, self.distance_m, metres),
-                "elevation_m": (dims, self.elevation_m, metres),
+                "distance_m": (dims, self.distance_m, METRES),
+                "elevation_m": (dims, self.elevation_m, METRES),
             },
             {
-                "lon": (dims, self.lon, {"standard_name": "longitude", "units": "degrees_east"}),
-                "lat": (dims, self.lat, {"standard_name": "latitude", "units": "degrees_north"}),
+                "lon": (dims, self.lon, LON),
+                "lat": (dims, self.lat, LAT),
                 "row_px": ("row_px", row_px, {"units": "px"}),
                 "column_px": ("column_px", column_px, {"units": "px"}),
             },

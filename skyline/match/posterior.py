@@ -42,6 +42,7 @@ import cv2
 import numpy as np
 
 from skyline.arrays import Float32Array, Float64Array, Rows, ShortRepr
+from skyline.cf import METRES
 from skyline.errors import InputError, library
 from skyline.geodesy.map_frame import Frame
 from skyline.match.prior import PlacePrior
@@ -261,12 +262,11 @@ class Posterior(ShortRepr):
             Xarray is not installed.
         """
         rows, cols = self.probability.shape
-        metres = {"units": "m"}
         made: DataArray = library("xarray", "a DataArray").DataArray(
             self.probability,
             {
-                "y": ("y", self.north_m - (np.arange(rows) + 0.5) * self.cell_m, metres),
-                "x": ("x", self.west_m + (np.arange(cols) + 0.5) * self.cell_m, metres),
+                "y": ("y", self.north_m - (np.arange(rows) + 0.5) * self.cell_m, METRES),
+                "x": ("x", self.west_m + (np.arange(cols) + 0.5) * self.cell_m, METRES),
             },
             name="probability",
             attrs={"long_name": "probability of a cell", "crs_wkt": self.frame.wkt},
