@@ -21,12 +21,13 @@ from skyline.geodesy.map_frame import Frame
 from skyline.match.areas import MatchedArea, frame_of, paths_of, terrain_at_hand
 from skyline.match.config import MatchConfig
 from skyline.match.contours import weighed_by_contours
+from skyline.match.joint_result import JointResult
 from skyline.match.method import MATCHERS, SearchMethod
 from skyline.match.posterior import Findings, MapGrid, Posterior, posterior_of
 from skyline.match.prior import NOTHING_KNOWN, Narrowing, Prior
 from skyline.match.rays import Rays
 from skyline.match.refine import VIEW_WIDTH
-from skyline.match.result import TOP, JointResult, MatchResult
+from skyline.match.result import TOP, MatchResult
 from skyline.match.shard import Shard
 from skyline.match.verdict import Verdict, candidate_reached, too_little
 from skyline.match.walk import check_times, joined
