@@ -29,6 +29,7 @@ from skyline.match import confidence
 from skyline.match.prior import GPS_SD_M, NOTHING_KNOWN, PlacePrior, Prior
 from skyline.match.search import FullMatcher
 from skyline.photo.extract import extract_skyline
+from skyline.photo.frame import CROP
 from skyline.photo.noted_fov import CROP_SHARES, NOMINAL_SD
 from skyline.photo.skyline import Lens
 from skyline.pose import SAME_VIEW_DEG, Poses
@@ -350,7 +351,7 @@ def _noted_alone(fov_deg: float, rng: np.random.Generator) -> Lens:
     """
     tangent = math.tan(math.radians(fov_deg) / 2.0) * math.exp(NOMINAL_SD * rng.standard_normal())
     if rng.uniform() < CROP_SHARES.resized:
-        tangent /= rng.uniform(*CROP_SHARES.left)
+        tangent /= rng.uniform(*CROP.left)
     noted_rad = 2.0 * math.atan(tangent)
     return Lens(
         math.degrees(noted_rad),
