@@ -345,8 +345,8 @@ class FitFigures(Rows):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sites(Rows):
-    """The locations of M poses found in areas of several frames."""
+class PoseAreas(Rows):
+    """The areas of several frames in which M poses were found."""
 
     area: IntArray
     """(M,) intp. As in `Pose`."""
@@ -358,7 +358,7 @@ class Sites(Rows):
 class Poses(Rows):
     """M poses of a camera in a frame, as matchers return them.
 
-    With ``sites``, each pose is in the frame of its own area.
+    With ``in_areas``, each pose is in the frame of its own area.
     """
 
     easting_m: Float64Array
@@ -388,7 +388,7 @@ class Poses(Rows):
     """(M,) float64. Probability that a pose is right within 1 km; None if not estimated."""
     fits: FitFigures | None = None
     """Figures of the poses, if they were fitted by rendering; else None."""
-    sites: Sites | None = None
+    in_areas: PoseAreas | None = None
     """Areas of the poses, if they were found in several; None for poses of one frame."""
 
     @classmethod
@@ -417,12 +417,12 @@ class Poses(Rows):
 
     def areas(self) -> IntArray:
         """Return each pose's area (M,); 0 where there is only one."""
-        if self.sites is None:
+        if self.in_areas is None:
             return np.zeros(len(self), dtype=np.intp)
-        return self.sites.area
+        return self.in_areas.area
 
-    def sited(self, area: IntArray, frames: Sequence[Frame]) -> "Poses":
-        """Return the poses with their sites.
+    def found_in(self, area: IntArray, frames: Sequence[Frame]) -> "Poses":
+        """Return the poses as found in areas of several frames.
 
         ``area`` (M,) are indices of ``frames``.
         """
@@ -430,7 +430,7 @@ class Poses(Rows):
         for number, frame in enumerate(frames):
             mine = area == number
             geocentric_m[mine] = frame.geocentric_m(self.easting_m[mine], self.northing_m[mine])
-        return replace(self, sites=Sites(area, geocentric_m))
+        return replace(self, in_areas=PoseAreas(area, geocentric_m))
 
     def on_map(self, *frames: Frame) -> tuple[Pose, ...]:
         """Return each pose, best first, on the map.
@@ -445,7 +445,7 @@ class Poses(Rows):
             lon[mine], lat[mine] = frame.to_lonlat(**place)
             convergence_deg[mine] = frame.convergence_deg(**place)
         columns = self.columns()
-        columns.pop("sites")
+        columns.pop("in_areas")
         grid_heading_deg = columns.pop("grid_heading_deg")
         fits = columns.pop("fits")
         columns |= {
@@ -479,9 +479,9 @@ class Poses(Rows):
         """Return the distances of all poses from one, or from each."""
         place = self.easting_m + 1j * self.northing_m
         apart_m = np.asarray(np.abs(place[one] - place))
-        if self.sites is None:
+        if self.in_areas is None:
             return apart_m
-        area, geocentric_m = self.sites.area, self.sites.geocentric_m
+        area, geocentric_m = self.in_areas.area, self.in_areas.geocentric_m
         chord_m = np.linalg.norm(geocentric_m[one] - geocentric_m, axis=-1)
         return np.where(area[one] == area, apart_m, chord_m)
 

@@ -53,7 +53,7 @@ class SearchMethod(ABC):
     def joined(cls, methods: Sequence[Self]) -> Self:
         """Return one method for the areas of several methods.
 
-        Its poses have `Poses.sites`, with the areas in the order of ``methods``.
+        Its poses have `Poses.in_areas`, with the areas in the order of ``methods``.
         """
         raise InputError(
             f"this matcher searches stores of one elevation model, and these are of {len(methods)};"

@@ -131,11 +131,11 @@ class Retriever:
 
     def allowed(self, prior: Prior, poses: Poses) -> BoolArray:
         """Return which poses (M,) a narrowing allows."""
-        if poses.sites is None:
+        if poses.in_areas is None:
             return prior.allows(poses)
         allowed = np.zeros(len(poses), dtype=bool)
         for area, its_prior in enumerate(prior.in_frames(self._frames)):
-            mine = np.flatnonzero(poses.sites.area == area)
+            mine = np.flatnonzero(poses.in_areas.area == area)
             allowed[mine] = its_prior.allows(poses[mine])
         return allowed
 
@@ -416,7 +416,7 @@ class Retriever:
     def _fits(self, rays: Rays, starts: Starts, effort: FitEffort, report: StepProgress) -> Poses:
         """Return the poses fitted from starts, in order.
 
-        They have sites if there are several areas.
+        They have `Poses.in_areas` if there are several areas.
         """
 
         def fitted(shard: Shard, mine: IntArray, rows: IntArray) -> Poses:
@@ -425,7 +425,7 @@ class Retriever:
         poses = self._of_each(starts.row, fitted, Poses.concatenate)
         if len(self._frames) < 2:
             return poses
-        return poses.sited(self._area[self._shard_of(starts.row)], self._frames)
+        return poses.found_in(self._area[self._shard_of(starts.row)], self._frames)
 
 
 def _report_part(report: StepProgress, done: float, share: float, step: str, part: float) -> None:

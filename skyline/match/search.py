@@ -176,18 +176,18 @@ class FullMatcher(SearchMethod):
         best = poses[np.argsort(poses.cost, kind="stable")[: effort.shortlist]]
         parts = []
         for number, (area, its_prior) in enumerate(zip(self._areas, priors, strict=True)):
-            own = replace(best[best.areas() == number], sites=None)
+            own = replace(best[best.areas() == number], in_areas=None)
             if area.scene is None or (not len(own) and number):
                 continue
             found = Refinement(rays, area.scene, effort, its_prior, report=report).run(own)
-            parts.append(self._sited(number, found))
+            parts.append(self._found_in(number, found))
         return best_of_areas(parts, effort.finalists)
 
-    def _sited(self, area: int, poses: Poses) -> Poses:
-        """Return an area's poses with their sites, if there are several areas."""
+    def _found_in(self, area: int, poses: Poses) -> Poses:
+        """Return poses as found in an area, if there are several."""
         if not self._frames:
             return poses
-        return poses.sited(np.full(len(poses), area, dtype=np.intp), self._frames)
+        return poses.found_in(np.full(len(poses), area, dtype=np.intp), self._frames)
 
     @one_blas_thread()
     def likely_places(
@@ -246,7 +246,7 @@ class FullMatcher(SearchMethod):
         figures = confidence.pose_figures(poses, rays)
         near, roughly = confidence.probabilities(self.models, confidence.FITTED, figures)
         poses = replace(poses, confidence=near, confidence_1km=roughly)
-        return self._sited(start.area, poses)
+        return self._found_in(start.area, poses)
 
     @one_blas_thread()
     def search_together(
