@@ -29,7 +29,7 @@ from skyline.web.messages import (
     skyline_of,
     strokes_of,
 )
-from skyline.web.photos import Match, PagePhoto, version_of
+from skyline.web.photos import Match, PagePhoto, skyline_digest
 from skyline.web.saving import KINDS, chosen_of, saved, trace_of
 from skyline.web.sessions import MAX_SESSION_BYTES, MAX_UPLOAD_BYTES, GoneError, Session, Sessions
 
@@ -262,7 +262,7 @@ class PageApp:
 
 
 def _lines(photo: PagePhoto) -> Response:
-    headers = {"ETag": f'"{version_of(photo.skyline)}"'}
+    headers = {"ETag": f'"{skyline_digest(photo.skyline)}"'}
     lacks = Matcher.too_little(photo.skyline)
     if lacks is not None:
         headers["Skyline-Lacks"] = lacks

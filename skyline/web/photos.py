@@ -170,7 +170,11 @@ class PagePhoto:
     def current_result(self) -> MatchResult | None:
         """The result of the search; None if the skyline has changed since."""
         searched = self.result_json
-        return self.result if searched and searched["skyline"] == version_of(self.skyline) else None
+        return (
+            self.result
+            if searched and searched["skyline"] == skyline_digest(self.skyline)
+            else None
+        )
 
     def result_of(self, asked: Mapping[str, Any]) -> MatchResult | None:
         """Return a search's result, unless a search now would differ."""
@@ -183,7 +187,7 @@ class PagePhoto:
             self.match.cancelled.set()
 
 
-def version_of(skyline: PhotoSkyline) -> str:
+def skyline_digest(skyline: PhotoSkyline) -> str:
     """Return a digest that distinguishes skylines of one photo."""
     seen = skyline.row_px.tobytes() + skyline.trust.tobytes() + skyline.projection.encode()
     return hashlib.sha256(seen).hexdigest()[:16]
@@ -228,7 +232,7 @@ class Match:
         self.photo = photo
         self._skyline = skyline
         self._narrowing = narrowing
-        self._question = {"asked": asked, "skyline": version_of(skyline)}
+        self._question = {"asked": asked, "skyline": skyline_digest(skyline)}
         self.cancelled = threading.Event()
         self.step = "waiting"
         self.share = 0.0
