@@ -170,11 +170,8 @@ class PagePhoto:
     def current_result(self) -> MatchResult | None:
         """The result of the search; None if the skyline has changed since."""
         searched = self.result_json
-        return (
-            self.result
-            if searched and searched["skyline"] == skyline_digest(self.skyline)
-            else None
-        )
+        is_same = searched and searched["skyline"] == skyline_digest(self.skyline)
+        return self.result if is_same else None
 
     def result_of(self, asked: Mapping[str, Any]) -> MatchResult | None:
         """Return a search's result, unless a search now would differ."""
