@@ -176,7 +176,7 @@ class Matcher(Closeable):
         return self.only_area().terrain
 
     def search_by(self, shards: Sequence[Sequence[Shard]], at_once: int) -> None:
-        """Search each area's places by shards, such as those of `skyline.match.spread`.
+        """Search each area's places by shards, such as those of `skyline.match.distant_shards`.
 
         ``at_once`` shards are asked at a time.
         """

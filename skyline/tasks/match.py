@@ -26,12 +26,12 @@ from skyline.errors import (
 )
 from skyline.files import GEOJSON, STANDARD, check_outputs, digest_of, read_bytes, version_of
 from skyline.match.config import MatchConfig
+from skyline.match.distant_shards import distant_shards, opening_of
 from skyline.match.joint_result import JointResult
 from skyline.match.matcher import FULL, Matcher
 from skyline.match.method import MATCHERS
 from skyline.match.posterior import Posterior
 from skyline.match.result import MatchResult
-from skyline.match.spread import distant_shards, opening_of
 from skyline.match.walk import check_times
 from skyline.peaks import Peaks, read_peaks
 from skyline.photo.image import EXPECTED
