@@ -232,7 +232,7 @@ class Matcher(Closeable):
         narrowing : Narrowing, optional
             Knowledge about the photo's pose; only the full matcher takes any.
         report_progress : callable, optional
-            Called, in this thread, with the current step of the match and the share of that step
+            Called, in this thread, with the current `skyline.progress.Step` and the share of it
             that is done, 0 to 1. An exception that it raises ends the match.
 
         Returns
