@@ -113,7 +113,7 @@ class MatchTask:
         config = MatchConfig(refine=self.matcher != UNREFINED)
         return MatcherFiles(self.stores, dem_names(self.dem), dem_names(self.surface), name, config)
 
-    def search(self) -> str:
+    def search_digest(self) -> str:
         """Return a digest of the stores and the options.
 
         It differs between searches that may give different answers.
@@ -224,7 +224,7 @@ def match_photos(task: MatchTask, listener: Listener) -> int:
     """
     task.check()
     with (
-        nullcontext() if task.results is None else ResultsFile(task.results, task.search()) as file
+        nullcontext() if task.results is None else ResultsFile(task.results, task.search_digest()) as file
     ):
         run = _Run(task, listener, file)
         with suppress(BrokenPipeError):
