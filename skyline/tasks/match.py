@@ -223,9 +223,8 @@ def match_photos(task: MatchTask, listener: Listener) -> int:
     error of a photo is shown, and does not stop the others.
     """
     task.check()
-    with (
-        nullcontext() if task.results is None else ResultsFile(task.results, task.search_digest()) as file
-    ):
+    kept = nullcontext()
+    with kept if task.results is None else ResultsFile(task.results, task.search_digest()) as file:
         run = _Run(task, listener, file)
         with suppress(BrokenPipeError):
             run.match()
