@@ -1,6 +1,6 @@
 """Types of arrays for hints, and a base of dataclasses of arrays."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from itertools import compress
 from typing import Any, Self, cast
@@ -20,9 +20,6 @@ IntArray = NDArray[np.intp]
 UInt8Array = NDArray[np.uint8]
 UInt32Array = NDArray[np.uint32]
 BoolArray = NDArray[np.bool_]
-
-Progress = Callable[[int, int], None]
-"""Called with the number of finished pieces of work, and the number of all pieces."""
 
 _SHOWN = 4
 """Items of a list that a printed form shows."""

@@ -7,19 +7,19 @@ the bit as in one process.
 import os
 import re
 import time
-from collections.abc import Hashable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from datetime import datetime
-from functools import partial
 from itertools import chain
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 from skyline.camera import Projection
 from skyline.errors import InputError, SkylineError
 from skyline.files import REPORT_PAGE, STANDARD, is_own_page, read_bytes, version_of
-from skyline.match.matcher import Matcher, paths_of
+from skyline.match.config import MatchConfig
+from skyline.match.matcher import Matcher
 from skyline.match.prior import Narrowing
 from skyline.match.result import MatchResult
 from skyline.photo.image import opened_image, photos_in
@@ -230,21 +230,36 @@ def match_here(matcher: Matcher, entries: Iterable[Entry]) -> Iterator[MatchResu
             yield error
 
 
+@dataclass(frozen=True, slots=True)
+class MatcherFiles:
+    """The files of a matcher and its settings, by which any process opens it."""
+
+    stores: tuple[Path, ...]
+    dem: tuple[str, ...]
+    """Elevation files of the stores; none for those that the stores name."""
+    surface: tuple[str, ...]
+    """Files of a surface or canopy model; none without one."""
+    matcher: str
+    config: MatchConfig
+
+    def open(self) -> Matcher:
+        """Open the matcher; raises as `Matcher`."""
+        dem, surface = self.dem or None, self.surface or None
+        return Matcher(self.stores, dem, self.matcher, self.config, surface=surface)
+
+
 def match_many(
-    runner: Runner, matcher: tuple[Hashable, ...], entries: Sequence[Entry]
+    runner: Runner, files: MatcherFiles, entries: Sequence[Entry]
 ) -> Iterator[MatchResult | SkylineError]:
     """Match photos on workers; yield results in order, as soon as possible.
 
-    A photo that cannot be matched yields its error; the others are still matched. ``matcher`` are
-    the arguments of `Matcher`, in order: the store's path first, or the paths of several. Workers
-    need the store, the DEM and the photos under the same paths.
+    A photo that cannot be matched yields its error; the others are still matched. Workers need the
+    stores, the DEM and the photos under the same paths.
     """
-    stores = tuple(Path(one).absolute() for one in paths_of(cast(Any, matcher[0])))
+    files = replace(files, stores=tuple(one.absolute() for one in files.stores))
     # A worker that outlives this command must not take a file for the one it has replaced.
-    models = (Path(name) for some in matcher[1:] if isinstance(some, tuple) for name in some)
-    versions = tuple(map(version_of, [*stores, *models]))
-    given: Any = (stores, *matcher[1:])
-    opening = Opening((versions, *given), partial(Matcher, *given))
+    read = *files.stores, *map(Path, files.dem), *map(Path, files.surface)
+    opening = Opening((tuple(map(version_of, read)), files), files.open)
     jobs = [replace(one, path=str(Path(one.path).absolute())) for one in entries]
     names = [f"photo-{index}" for index in range(len(jobs))]
     matched = runner(_match, opening, jobs, names)

@@ -25,12 +25,12 @@ from urllib.parse import urlsplit
 
 import numpy as np
 
-from skyline.arrays import Progress
 from skyline.errors import FetchError, InputError, MissingFileError, SkylineError
 from skyline.fetch.dem_tiles import SOURCES, fetch_dem, source_of
 from skyline.files import cache_folder, digest_of, lock_file, version_of
 from skyline.geodesy.bounds import Bounds, check_bounds, contains_box, width_deg
 from skyline.geodesy.map_frame import TRUE_DEG, Frame
+from skyline.progress import Progress, Step
 from skyline.store.layout import SCHEMA_VERSION
 from skyline.store.places import PLACE_CODING
 from skyline.survey.build import build_places
@@ -53,8 +53,8 @@ _LOCK = "lock"
 PrintNote = Callable[[str], None]
 """Prints a line about what is being done."""
 
-Bar = Callable[[str], AbstractContextManager[Progress | None]]
-"""Shows the progress of a step that it is given by name."""
+Bar = Callable[[Step], AbstractContextManager[Progress | None]]
+"""Shows the progress of a step."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,11 +168,11 @@ def prepare_area(
             if is_fetched:
                 files = _fetch(folder, bounds, source, print_note, bar)
             if terrain is None:
-                with bar("reading the elevation model"):
+                with bar(Step.READING):
                     terrain = read_dem(files)
             _check_terrain(terrain, area, is_given=not is_fetched)
             print_note(f"building the store of {_km2(bounds):.0f} km2")
-            with bar("building the store") as progress:
+            with bar(Step.BUILDING) as progress:
                 built = build_places(terrain, made.store, bounds_deg=bounds, progress=progress)
             save_field(terrain, made.terrain)
             print_note(f"{built.rows} places were built in {built.seconds:.0f} s")
@@ -310,7 +310,7 @@ def _fetch(
     )
     earlier = [one / "tiles" for one in folder.parent.iterdir() if one != folder]
     try:
-        with bar("fetching tiles") as progress:
+        with bar(Step.FETCHING) as progress:
             done = fetch_dem(seen, source, folder / "tiles", progress=progress, earlier=earlier)
     except FetchError as error:
         raise FetchError(f"{error}; or give elevation files with --dem") from error

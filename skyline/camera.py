@@ -622,6 +622,13 @@ class Camera:
     distortion: float = 0.0
     wander: tuple[float, ...] = ()
 
+    @property
+    def warp(self) -> tuple[float, ...]:
+        """The distortion of a lens, or all factors of a panorama's wander."""
+        if self.projection.is_panorama:
+            return self.wander or (0.0,) * len(WANDER_DEGREES)
+        return (self.distortion,)
+
     def pixels(
         self, grid_azimuth_deg: ArrayLike, elevation_tan: ArrayLike
     ) -> tuple[Float64Array, Float64Array]:
@@ -672,14 +679,13 @@ class Camera:
         across, above = from_middle(column_px, row_px, self.width_px, self.height_px)
         u, v = self.projection.rays(across, above, self.fov_deg)
         points = ImagePoints(u=u, v=v, fov_deg=self.fov_deg, projection=self.projection)
-        warp: Sequence[float] = (self.distortion,)
-        if self.projection.is_panorama:
-            warp = self.wander or (0.0,) * len(WANDER_DEGREES)
         pitch_rad, roll_rad = np.radians([[self.pitch_deg], [self.roll_deg]])
-        changes = points.levelled_with_changes(pitch_rad, roll_rad, np.zeros(1), np.array([warp]))[
-            2:
-        ]
-        by_azimuth, by_tangent = (one[0] for one in changes)
+        _, _, by_azimuth, by_tangent = (
+            one[0]
+            for one in points.levelled_with_changes(
+                pitch_rad, roll_rad, np.zeros(1), np.array([self.warp])
+            )
+        )
         by_heading = np.ones((len(by_azimuth), 1))
         return (
             np.concatenate([by_heading, by_azimuth], axis=1),

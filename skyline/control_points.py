@@ -14,31 +14,20 @@ from typing import Any
 import numpy as np
 
 from skyline.arrays import BoolArray, Float64Array
-from skyline.camera import WANDER_DEGREES, Camera
+from skyline.camera import Camera
 from skyline.errors import InputError, OffMapError, printable
 from skyline.geodesy.bounds import in_turn
 from skyline.match.config import MatchConfig
 from skyline.match.rays import Rays
-from skyline.match.solver import (
-    EAST,
-    EYE_HEIGHT,
-    HEADING,
-    LOG_SCALE,
-    NORTH,
-    PITCH,
-    ROLL,
-    WARP,
-    SolverPriors,
-)
+from skyline.match.solver import SolverPriors
 from skyline.orientation import RIGHT_DEG
 from skyline.photo.skyline import PhotoSkyline
 from skyline.point_files import ControlPoints
 from skyline.pose import Pose
+from skyline.pose_errors import ANGLES, EAST, HEADING, LOG_SCALE, NORTH, PITCH, ROLL, UP, WARP
 from skyline.terrain.heightfield import ground_of, ground_slope
 from skyline.view import Viewer
 
-UP = EYE_HEIGHT
-"""The column of the eye's elevation, where a skyline's fit has its height above the ground."""
 LEAST_POINTS = 3
 """A place and a direction follow from three points, if the lens is known."""
 
@@ -106,12 +95,8 @@ class PointsFit:
         sd = np.sqrt(np.diagonal(np.array(self.pose.covariance)))
         half = self.photo.projection.half_width(self.pose.fov_deg)
         fov_deg = self.photo.projection.fov_deg(half * np.exp([-sd[LOG_SCALE], sd[LOG_SCALE]]))
-        angles = dict(
-            zip(("heading", "pitch", "roll"), np.degrees(sd[HEADING:LOG_SCALE]), strict=True)
-        )
-        return {name: float(one) for name, one in angles.items()} | {
-            "fov": float(np.ptp(fov_deg)) / 2.0
-        }
+        sds_deg = *np.degrees(sd[HEADING:LOG_SCALE]).tolist(), float(np.ptp(fov_deg)) / 2.0
+        return dict(zip(ANGLES, sds_deg, strict=True))
 
     @property
     def wrong(self) -> tuple[str, ...]:
@@ -136,16 +121,11 @@ class PointsFit:
 
     def to_text(self) -> str:
         """Return the lines that ``skyline orient --points`` prints."""
-        pose, sd = self.pose, self.sds_deg
+        pose = self.pose
         lines = [printable(self.name) or "photo"]
         if self.refusal:
             lines.append(f"not trusted: {self.refusal}")
-        lines.append(
-            f"heading {pose.heading_deg:.2f} +- {sd['heading']:.2f} from true north  "
-            f"pitch {pose.pitch_deg:.2f} +- {sd['pitch']:.2f}  "
-            f"roll {pose.roll_deg:.2f} +- {sd['roll']:.2f}  "
-            f"fov {pose.fov_deg:.2f} +- {sd['fov']:.2f} degrees"
-        )
+        lines.append(pose.angles_in_words(self.sds_deg))
         lines.append(f"lat {pose.lat:.6f} lon {pose.lon:.6f}, {pose.eye_elevation_m:.1f} m high")
         for name, (across, down), used in zip(
             self.points.names, self.residual_px.tolist(), self.is_used, strict=True
@@ -286,9 +266,7 @@ class _Fit:
             [level, np.where(on_ground, self.height_sd_m, self.errors.place_sd_m)], axis=1
         )
         pose = self.known.pose
-        warp = pose.wander or (0.0,) * len(WANDER_DEGREES)
-        if not self.photo.projection.is_panorama:
-            warp = (pose.distortion,)
+        warp = pose.camera(self.photo).warp
         self.first = np.array(
             [pose.easting_m, pose.northing_m, pose.eye_elevation_m,
              *np.radians([pose.grid_heading_deg, pose.pitch_deg, pose.roll_deg]), 0.0, *warp]

@@ -14,11 +14,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pyproj import CRS
 
-from skyline.arrays import Float32Array, Float64Array, IntArray, Progress, refuse_text
+from skyline.arrays import Float32Array, Float64Array, IntArray, refuse_text
+from skyline.cf import METRES, TRUE_NORTH
 from skyline.errors import InputError, library
 from skyline.geodesy.crs import lonlat_of, transformer
 from skyline.geodesy.earth import Curvature
-from skyline.horizons import steps_a_turn
+from skyline.horizons import azimuths_deg, steps_a_turn
+from skyline.progress import Progress
 from skyline.render.horizon import PanoramaRenderer
 from skyline.sky_view import sky_view_factor
 from skyline.terrain.dem import Dem, read_dem
@@ -111,8 +113,7 @@ def horizon_grid(
     eyes = _Eyes.of(dem, step_deg, eye_height_m, curvature)
     about = {"long_name": "elevation angle of the horizon", "units": "degrees"}
     data = _seen(eyes, _elevations, (eyes.steps,), progress)
-    true_north = {"long_name": "azimuth, clockwise from true north", "units": "degrees"}
-    first = {"azimuth_deg": ("azimuth_deg", eyes.azimuth_deg, true_north)}
+    first = {"azimuth_deg": ("azimuth_deg", eyes.azimuth_deg, TRUE_NORTH)}
     return eyes.grid.labelled("elevation_deg", data, about, first)
 
 
@@ -194,10 +195,9 @@ class _Grid:
             return cls._of_array(dem, field)
         x_m, _ = field.to_map(0.0, np.arange(field.cols))
         _, y_m = field.to_map(np.arange(field.rows), 0.0)
-        metres = {"units": "m"}
         coords = {
-            "y": ("y", y_m, {"standard_name": "projection_y_coordinate", **metres}),
-            "x": ("x", x_m, {"standard_name": "projection_x_coordinate", **metres}),
+            "y": ("y", y_m, {"standard_name": "projection_y_coordinate", **METRES}),
+            "x": ("x", x_m, {"standard_name": "projection_x_coordinate", **METRES}),
             "spatial_ref": ((), 0, field.frame.crs.to_cf()),
         }
         return cls(field, x_m, y_m, None, ("y", "x"), coords, {"grid_mapping": "spatial_ref"})
@@ -260,7 +260,7 @@ class _Eyes:
     ) -> None:
         self.grid = grid
         self.steps = steps
-        self.azimuth_deg = np.arange(steps) * (360.0 / steps)
+        self.azimuth_deg = azimuths_deg(steps)
         self._eye_height_m = eye_height_m
         self._curvature = curvature
         self._renderer: PanoramaRenderer | None = None

@@ -18,11 +18,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pyproj import CRS
 
-from skyline.arrays import Float32Array, Float64Array, Progress, UInt8Array, refuse_text
+from skyline.arrays import Float32Array, Float64Array, UInt8Array, refuse_text
+from skyline.cf import LAT, LON, METRES, TRUE_NORTH
 from skyline.errors import InputError, library
 from skyline.geodesy.bounds import are_degrees, in_turn
 from skyline.geodesy.crs import WGS84
 from skyline.geodesy.earth import Curvature
+from skyline.progress import Progress
 from skyline.render.horizon import PanoramaRenderer
 from skyline.sky_view import sky_view_factor
 from skyline.skylines import MAX_WIDTH, Horizons
@@ -190,8 +192,7 @@ class LocalHorizons:
     @property
     def _azimuths_deg(self) -> Float64Array:
         """The azimuths (A,) of every place."""
-        steps = np.shape(self.azimuth_deg)[-1]
-        return np.asarray(np.arange(steps) * (360.0 / steps))
+        return azimuths_deg(np.shape(self.azimuth_deg)[-1])
 
     @property
     def has_ids(self) -> bool:
@@ -435,7 +436,6 @@ class LocalHorizons:
         count = len(self.shape)
         place = _DIMS.get(count, tuple(f"dim_{number}" for number in range(count)))
         dims = (*place, "azimuth_deg")
-        true_north = {"long_name": "azimuth, clockwise from true north", "units": "degrees"}
         data: Dataset = xarray.Dataset(
             {
                 **{
@@ -447,11 +447,11 @@ class LocalHorizons:
                 "sky_view_factor": (place, self.sky_view_factor(), {"units": "1"}),
             },
             {
-                "lon": (place, self.lon, {"standard_name": "longitude", "units": "degrees_east"}),
-                "lat": (place, self.lat, {"standard_name": "latitude", "units": "degrees_north"}),
-                "eye_elevation_m": (place, self.eye_elevation_m, {"units": "m"}),
+                "lon": (place, self.lon, LON),
+                "lat": (place, self.lat, LAT),
+                "eye_elevation_m": (place, self.eye_elevation_m, METRES),
                 "id": (place, self.id),
-                "azimuth_deg": ("azimuth_deg", self._azimuths_deg, true_north),
+                "azimuth_deg": ("azimuth_deg", self._azimuths_deg, TRUE_NORTH),
             },
         )
         return data
@@ -609,12 +609,11 @@ def horizons_of(
         # Rounding in the surface model must not put it below the terrain.
         surface_deg = np.degrees(np.arctan(over.elevation_tan))
         surface_deg = np.maximum(surface_deg, elevation_deg)
-    azimuth_deg = np.arange(steps) * (360.0 / steps)
     return LocalHorizons(
         lon,
         lat,
         eyes.eye_elevation_m,
-        np.broadcast_to(azimuth_deg, (len(eyes), steps)),
+        np.broadcast_to(azimuths_deg(steps), (len(eyes), steps)),
         elevation_deg,
         rendered.distance_m,
         rendered.flags,
@@ -622,6 +621,11 @@ def horizons_of(
         np.array(ids or [""] * len(eyes), dtype=np.str_),
         terrain.frame.lonlat_crs,
     )
+
+
+def azimuths_deg(steps: int) -> Float64Array:
+    """Return equal steps (A,) of azimuth, from north on."""
+    return np.asarray(np.arange(steps) * (360.0 / steps))
 
 
 def steps_a_turn(step_deg: float) -> int:

@@ -281,8 +281,7 @@ class Sighting:
     northing_m: float
     surface_m: float
     """Height of the summit on the terrain."""
-    azimuth_deg: float
-    """Grid azimuth."""
+    grid_azimuth_deg: float
     elevation_tan: float
     """Tangent of the elevation angle: up over horizontal distance."""
     distance_m: float
@@ -341,7 +340,7 @@ def aimed_at(
                 easting_m=easting_m,
                 northing_m=northing_m,
                 surface_m=surface_m,
-                azimuth_deg=math.degrees(math.atan2(east_m, north_m)) % 360.0,
+                grid_azimuth_deg=math.degrees(math.atan2(east_m, north_m)) % 360.0,
                 # Of a summit just under the eye no direction is asked.
                 elevation_tan=up_m / max(distance_m, 1.0),
                 distance_m=distance_m,
@@ -364,7 +363,7 @@ def _is_seen(
         terrain,
         eye,
         curvature,
-        np.radians([sighting.azimuth_deg]),
+        np.radians([sighting.grid_azimuth_deg]),
         np.array([UNDERFOOT_SAMPLES * terrain.spacing_m]),
         np.array([sighting.distance_m - SUMMIT_RADIUS_M]),
     )

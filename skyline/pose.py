@@ -1,7 +1,6 @@
-"""Camera poses: on the map, in records, and in columns."""
+"""Camera poses: on the map, and in columns."""
 
 import math
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -9,12 +8,11 @@ from typing import Any
 import numpy as np
 
 from skyline.arrays import BoolArray, Float64Array, IntArray, Rows
-from skyline.camera import MOST_DISTORTION, WANDER_DEGREES, Camera, Projection
-from skyline.errors import InputError
-from skyline.geodesy.bounds import are_degrees, in_turn
+from skyline.camera import Camera
+from skyline.geodesy.bounds import in_turn
 from skyline.geodesy.map_frame import Frame, geodesic_m
 from skyline.photo.skyline import PhotoSkyline
-from skyline.pose_errors import ASSUMED
+from skyline.pose_errors import ANGLES, ASSUMED
 
 RIGHT_WITHIN_M = 200.0
 """Largest error of an answer that is right. Poses farther apart are different answers."""
@@ -46,19 +44,6 @@ _WRITTEN = (
     "covariance",
 )  # fmt: skip
 """The fields that `Pose.to_dict` writes."""
-_NEEDED = ("lon", "lat", "heading_deg", "fov_deg")
-"""What a record of a pose must have for `NotedPose.from_dict`."""
-_OPTIONAL = ("pitch_deg", "roll_deg", "distortion", "eye_elevation_m", "eye_height_m")
-_UNKNOWNS = (7, 8, 7 + len(WANDER_DEGREES))
-"""Numbers of rows that `Pose.covariance` may have: without a distortion, with it, and with a
-panorama's wander."""
-_MOST = {"pitch_deg": 90.0, "roll_deg": 180.0, "distortion": MOST_DISTORTION}
-"""Greatest absolute values that a camera has."""
-EXPECTED_RECORD = (
-    "expected JSON as `skyline match --json` or `skyline orient --json` prints it, or a record "
-    f"with {', '.join(_NEEDED)}"
-)
-"""What a record of a pose is, for errors."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
@@ -213,6 +198,13 @@ class Pose:
         """Return assumed standard errors in words; empty if the covariance is known."""
         return "" if self.covariance is not None else ASSUMED.in_words(self.camera(photo))
 
+    def angles_in_words(self, sds_deg: Mapping[str, float]) -> str:
+        """Return the angles with their standard errors, by the names of `ANGLES`."""
+        heading, *others = (
+            f"{name} {getattr(self, f'{name}_deg'):.2f} +- {sds_deg[name]:.2f}" for name in ANGLES
+        )
+        return "  ".join([f"{heading} from true north", *others]) + " degrees"
+
     def distance_m(self, other: "Pose") -> float:
         """Return the horizontal distance to another pose, metres."""
         if self.area != other.area:
@@ -224,12 +216,11 @@ class Pose:
         return abs(float(in_turn(self.heading_deg - other.heading_deg)))
 
     def is_same_answer(self, other: "Pose", within_m: float = RIGHT_WITHIN_M) -> bool:
-        """Return whether another pose is the same answer.
+        """Return whether another pose is the same answer, as far as a distance tells.
 
         It is if it lies near and looks the same way. Confidences belong to answers.
         """
-        near = self.distance_m(other) <= within_m
-        return near and self.turn_deg(other) <= SAME_VIEW_DEG
+        return self.distance_m(other) <= within_m and self.turn_deg(other) <= SAME_VIEW_DEG
 
     def less_sure(self, share: float) -> "Pose":
         """Return the pose with a share of its confidences, if it has any."""
@@ -258,7 +249,7 @@ class Pose:
         """Return the pose's record, as ``skyline match --json`` prints it.
 
         Unknown values are None, and so are numbers that are not finite, which JSON cannot hold.
-        `NotedPose.from_dict` reads the record.
+        `skyline.noted_pose.NotedPose.from_dict` reads the record.
         """
         return {name: _finite(getattr(self, name)) for name in _WRITTEN}
 
@@ -269,149 +260,6 @@ class Pose:
             "" if value is None or not math.isfinite(value) else format(value, form)
             for value, form in values
         ]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class NotedPose:
-    """A pose as written down, not yet placed on a terrain.
-
-    Attributes
-    ----------
-    lon, lat, heading_deg, fov_deg, pitch_deg, roll_deg, distortion : float
-        As in `Pose`.
-    wander : tuple of float
-        As in `Pose`.
-    eye_elevation_m : float or None
-        Elevation of the camera above the DEM's datum.
-    eye_height_m : float or None
-        Height of the camera above the ground, in place of its elevation. By default a person
-        holds the camera.
-    covariance : tuple of tuple of float, or None
-        As in `Pose`.
-    doubt : str
-        Why the pose is not to be trusted; empty where its file does not doubt it.
-    """
-
-    lon: float
-    lat: float
-    heading_deg: float
-    fov_deg: float
-    pitch_deg: float = 0.0
-    roll_deg: float = 0.0
-    distortion: float = 0.0
-    wander: tuple[float, ...] = ()
-    eye_elevation_m: float | None = None
-    eye_height_m: float | None = None
-    covariance: tuple[tuple[float, ...], ...] | None = None
-    doubt: str = ""
-
-    @classmethod
-    def from_dict(cls, record: Any, projection: Projection, source: str = "pose") -> "NotedPose":
-        """Read a record as `Pose.to_dict` returns it, or one with fewer values.
-
-        Parameters
-        ----------
-        record : mapping
-            It needs ``lon``, ``lat``, ``heading_deg`` and ``fov_deg``. Null stands for an unknown
-            value; names that a `NotedPose` does not have are ignored.
-        projection : Projection
-            The projection of the photo. A record need not have it.
-        source : str
-            Where the record comes from, for errors.
-
-        Raises
-        ------
-        InputError
-            The record is not a pose, has another projection, or has values that no camera of the
-            projection has.
-        """
-        if not isinstance(record, Mapping):
-            raise InputError(f"{source} has no pose; {EXPECTED_RECORD}")
-        if lacking := [name for name in _NEEDED if record.get(name) is None]:
-            raise InputError(f"{source} has no {', '.join(lacking)}; {EXPECTED_RECORD}")
-        given: dict[str, Any] = {
-            name: _number(record[name], name, source)
-            for name in (*_NEEDED, *_OPTIONAL)
-            if record.get(name) is not None
-        }
-        wander = _wander_in(record, source)
-        for name, most in _MOST.items():
-            if abs(given.get(name, 0.0)) > most:
-                raise InputError(
-                    f"{source}: {name} is {given[name]:g}; expected {-most:g} to {most:g}"
-                )
-        lon = given["lon"]
-        lat = given["lat"]
-        if not are_degrees(lon, lat):
-            raise InputError(f"{source}: the place is {lon:g},{lat:g}; expected degrees (WGS 84)")
-        if {"eye_elevation_m", "eye_height_m"} <= given.keys():
-            raise InputError(f"{source} has both eye_elevation_m and eye_height_m; give one")
-        own = noted_projection(record, source)
-        if own not in {None, projection}:
-            raise InputError(
-                f"{source} is of a photo whose projection is {own}, and the photo counts as "
-                f"{projection}; leave --projection out, or give a pose of that projection"
-            )
-        projection.check_fov_deg(given["fov_deg"])
-        if any(wander) and not projection.is_panorama:
-            raise InputError(
-                f"{source} is of a panorama, and the photo counts as {projection}; give the "
-                "photo's --projection"
-            )
-        return cls(**given, wander=wander, covariance=_covariance_in(record, source))
-
-
-def _covariance_in(record: Mapping[str, Any], source: str) -> tuple[tuple[float, ...], ...] | None:
-    """Return a record's covariance; None where it is missing or empty.
-
-    Raises `InputError` unless it is square and has a row for each unknown of a pose.
-    """
-    rows = record.get("covariance")
-    if not rows:
-        return None
-    is_square = isinstance(rows, list | tuple) and all(
-        isinstance(row, list | tuple) and len(row) == len(rows) for row in rows
-    )
-    if not is_square or len(rows) not in _UNKNOWNS:
-        raise InputError(
-            f"{source}: covariance is {str(rows)[:40]}; expected a square matrix of "
-            f"{', '.join(map(str, _UNKNOWNS))} rows, as lists, or none"
-        )
-    return tuple(tuple(_number(value, "covariance", source) for value in row) for row in rows)
-
-
-def noted_projection(record: Mapping[str, Any], source: str) -> Projection | None:
-    """Return a record's projection; None if it has none.
-
-    Raises `InputError` for an unknown projection.
-    """
-    name = record.get("projection")
-    try:
-        return None if name is None else Projection(name)
-    except InputError as error:
-        raise InputError(f"{source}: {error}") from None
-
-
-def _wander_in(record: Mapping[str, Any], source: str) -> tuple[float, ...]:
-    """Return a record's wander of a panorama's rows.
-
-    Raises `InputError` unless the wander is missing or a list of the right length.
-    """
-    wander = record.get("wander") or []
-    if not isinstance(wander, list | tuple) or len(wander) not in {0, len(WANDER_DEGREES)}:
-        raise InputError(
-            f"{source}: wander is {str(wander)[:40]}; expected a list of {len(WANDER_DEGREES)} "
-            "numbers, or none"
-        )
-    return tuple(_number(value, "wander", source) for value in wander)
-
-
-def _number(value: Any, name: str, source: str) -> float:
-    """Return a record's value as a number, or raise `InputError`."""
-    is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    if not is_number or not abs(value) <= sys.float_info.max:
-        raise InputError(f"{source}: {name} is {str(value)[:40]}; expected a number")
-    return float(value)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -505,8 +353,8 @@ class FitFigures(Rows):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sites(Rows):
-    """The locations of M poses found in areas of several frames."""
+class PoseAreas(Rows):
+    """The areas of several frames in which M poses were found."""
 
     area: IntArray
     """(M,) intp. As in `Pose`."""
@@ -518,7 +366,7 @@ class Sites(Rows):
 class Poses(Rows):
     """M poses of a camera in a frame, as matchers return them.
 
-    With ``sites``, each pose is in the frame of its own area.
+    With ``in_areas``, each pose is in the frame of its own area.
     """
 
     easting_m: Float64Array
@@ -548,7 +396,7 @@ class Poses(Rows):
     """(M,) float64. Probability that a pose is right within 1 km; None if not estimated."""
     fits: FitFigures | None = None
     """Figures of the poses, if they were fitted by rendering; else None."""
-    sites: Sites | None = None
+    in_areas: PoseAreas | None = None
     """Areas of the poses, if they were found in several; None for poses of one frame."""
 
     @classmethod
@@ -577,12 +425,12 @@ class Poses(Rows):
 
     def areas(self) -> IntArray:
         """Return each pose's area (M,); 0 where there is only one."""
-        if self.sites is None:
+        if self.in_areas is None:
             return np.zeros(len(self), dtype=np.intp)
-        return self.sites.area
+        return self.in_areas.area
 
-    def sited(self, area: IntArray, frames: Sequence[Frame]) -> "Poses":
-        """Return the poses with their sites.
+    def found_in(self, area: IntArray, frames: Sequence[Frame]) -> "Poses":
+        """Return the poses as found in areas of several frames.
 
         ``area`` (M,) are indices of ``frames``.
         """
@@ -590,7 +438,7 @@ class Poses(Rows):
         for number, frame in enumerate(frames):
             mine = area == number
             geocentric_m[mine] = frame.geocentric_m(self.easting_m[mine], self.northing_m[mine])
-        return replace(self, sites=Sites(area, geocentric_m))
+        return replace(self, in_areas=PoseAreas(area, geocentric_m))
 
     def on_map(self, *frames: Frame) -> tuple[Pose, ...]:
         """Return each pose, best first, on the map.
@@ -605,7 +453,7 @@ class Poses(Rows):
             lon[mine], lat[mine] = frame.to_lonlat(**place)
             convergence_deg[mine] = frame.convergence_deg(**place)
         columns = self.columns()
-        columns.pop("sites")
+        columns.pop("in_areas")
         grid_heading_deg = columns.pop("grid_heading_deg")
         fits = columns.pop("fits")
         columns |= {
@@ -639,9 +487,9 @@ class Poses(Rows):
         """Return the distances of all poses from one, or from each."""
         place = self.easting_m + 1j * self.northing_m
         apart_m = np.asarray(np.abs(place[one] - place))
-        if self.sites is None:
+        if self.in_areas is None:
             return apart_m
-        area, geocentric_m = self.sites.area, self.sites.geocentric_m
+        area, geocentric_m = self.in_areas.area, self.in_areas.geocentric_m
         chord_m = np.linalg.norm(geocentric_m[one] - geocentric_m, axis=-1)
         return np.where(area[one] == area, apart_m, chord_m)
 

@@ -13,8 +13,11 @@ from numpy.typing import ArrayLike
 from skyline.arrays import Float64Array, Rows
 from skyline.camera import MAX_PANORAMA_DEG, Camera
 
-EAST, NORTH, UP, HEADING = range(4)
-"""First rows of `skyline.pose.Pose.covariance`; the others follow the heading."""
+EAST, NORTH, UP, HEADING, PITCH, ROLL, LOG_SCALE, WARP = range(8)
+"""Unknowns of a pose, in the order of the rows of `skyline.pose.Pose.covariance`: metres, radians,
+and the logarithm of the image's scale. The distortion or the wander is from `WARP` on."""
+ANGLES = ("heading", "pitch", "roll", "fov")
+"""Names of the angles whose standard errors are given."""
 PIXEL_SD_PX = 1.0
 """Standard deviation of a marked pixel's column and row: the accuracy of drawing by hand."""
 

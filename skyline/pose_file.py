@@ -9,8 +9,8 @@ from typing import Any
 from skyline.camera import Projection
 from skyline.errors import InputError, printable
 from skyline.files import read_bytes
+from skyline.noted_pose import EXPECTED_RECORD, NotedPose, noted_projection
 from skyline.photo.photo import Photo, read_photo
-from skyline.pose import EXPECTED_RECORD, NotedPose, noted_projection
 from skyline.store.read import is_store
 
 

@@ -121,7 +121,7 @@ class Views(Rows):
         """Number of columns W."""
         return int(self.v.shape[1])
 
-    def azimuth_deg(self) -> Float64Array:
+    def grid_azimuth_deg(self) -> Float64Array:
         """Return grid azimuths (N, W) of the columns, degrees in [0, 360).
 
         `skyline.Frame.convergence_deg` plus these are the azimuths from true north.

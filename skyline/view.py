@@ -20,14 +20,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 from pyproj import CRS
 
-from skyline.arrays import BoolArray, Float32Array, Float64Array, Progress, ShortRepr
+from skyline.arrays import BoolArray, Float32Array, Float64Array, ShortRepr
 from skyline.camera import in_picture
+from skyline.cf import LAT, LON, METRES
 from skyline.errors import InputError, library, suffix_of
 from skyline.files import write_whole
 from skyline.geodesy.bounds import in_turn
 from skyline.geodesy.crs import WGS84
 from skyline.geodesy.earth import Curvature
 from skyline.ground import GroundView
+from skyline.noted_pose import NotedPose
 from skyline.peaks import (
     Peaks,
     Sighting,
@@ -37,7 +39,8 @@ from skyline.peaks import (
     visible_peaks,
 )
 from skyline.photo.skyline import PhotoSkyline
-from skyline.pose import NotedPose, Pose
+from skyline.pose import Pose
+from skyline.progress import Progress
 from skyline.render.context import Closeable, RenderThread
 from skyline.render.horizon import RenderConfig, RenderedScene
 from skyline.skylines import HEADINGS, Views
@@ -175,7 +178,7 @@ def sight_of(pose: Pose, photo: PhotoSkyline, views: Views) -> Sight:
     views : Views
         Views from the eye of the pose, at least in the directions around the photo.
     """
-    azimuth_deg = views.azimuth_deg().ravel()
+    azimuth_deg = views.grid_azimuth_deg().ravel()
     # In order from behind the camera, so that the columns ahead are one unbroken run.
     order = np.argsort((azimuth_deg - pose.grid_heading_deg + 180.0) % 360.0)
     azimuth_deg = azimuth_deg[order]
@@ -197,8 +200,8 @@ def peaks_in_picture(
     pose: Pose, photo: PhotoSkyline, sightings: Sequence[Sighting]
 ) -> list[SeenPeak]:
     """Return the peaks within the picture, in the order given."""
-    azimuth_deg = [one.azimuth_deg for one in sightings]
-    column, row = pose.camera(photo).pixels(azimuth_deg, [one.elevation_tan for one in sightings])
+    directions = np.array([(one.grid_azimuth_deg, one.elevation_tan) for one in sightings])
+    column, row = pose.camera(photo).pixels(*directions.reshape(-1, 2).T)
     shown = in_picture(column, row, photo.width_px, photo.height_px)
     return [
         SeenPeak(**asdict(sightings[one]), column_px=float(column[one]), row_px=float(row[one]))
@@ -249,15 +252,14 @@ class PixelPlaces(ShortRepr):
         """
         row_px, column_px = (self.step * np.arange(count) for count in self.lon.shape)
         dims = "row_px", "column_px"
-        metres = {"units": "m"}
         data: Dataset = library("xarray", "a Dataset").Dataset(
             {
-                "distance_m": (dims, self.distance_m, metres),
-                "elevation_m": (dims, self.elevation_m, metres),
+                "distance_m": (dims, self.distance_m, METRES),
+                "elevation_m": (dims, self.elevation_m, METRES),
             },
             {
-                "lon": (dims, self.lon, {"standard_name": "longitude", "units": "degrees_east"}),
-                "lat": (dims, self.lat, {"standard_name": "latitude", "units": "degrees_north"}),
+                "lon": (dims, self.lon, LON),
+                "lat": (dims, self.lat, LAT),
                 "row_px": ("row_px", row_px, {"units": "px"}),
                 "column_px": ("column_px", column_px, {"units": "px"}),
             },

@@ -28,7 +28,7 @@ def photographed_from(field, eye, **camera):
     with HorizonRenderer(field, RenderConfig(1280)) as renderer:
         views = renderer.render(eye)
     tangent = np.tan(np.radians(views.elevation_deg()))
-    return photographed(np.radians(views.azimuth_deg()).ravel(), tangent.ravel(), **camera)
+    return photographed(np.radians(views.grid_azimuth_deg()).ravel(), tangent.ravel(), **camera)
 
 
 def equally_trusted(u, v, fov_deg):

@@ -49,6 +49,14 @@ def square_km(bounds_m: Rectangle) -> float:
     return (east - west) * (north - south) / 1e6
 
 
+def middle_of(bounds_m: Rectangle, size_m: tuple[float, float]) -> Rectangle:
+    """Return the middle part of a rectangle, up to a size: across, along."""
+    west, south, east, north = bounds_m
+    half_east, half_north = min(size_m[0], east - west) / 2.0, min(size_m[1], north - south) / 2.0
+    easting, northing = (west + east) / 2.0, (south + north) / 2.0
+    return easting - half_east, northing - half_north, easting + half_east, northing + half_north
+
+
 def window_of(apart_m: float, *spacings_m: float) -> list[int]:
     """Return the samples of a window that reaches ``apart_m`` to either side."""
     return [2 * round(apart_m / step) + 1 for step in spacings_m]

@@ -26,6 +26,7 @@ from skyline.photo.trace import write_trace
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.provenance import DemOptions
 from skyline_bench import options
+from skyline_bench.measuring import middle_of
 from skyline_bench.queries.synthetic import make_queries
 
 _SIDE_KM = 26.0
@@ -48,7 +49,7 @@ def opening(
     in the system's memory between the runs.
     """
     terrain = read_dem(dem, DemOptions(crs=crs))
-    box_m = _middle_of(terrain, 500.0 * side_km)
+    box_m = middle_of(terrain.bounds_m, (1000.0 * side_km, 1000.0 * side_km))
     with ExitStack() as held:
         folder = Path(held.enter_context(tempfile.TemporaryDirectory(prefix="skyline-bench-")))
         progress = held.enter_context(Terminal().progress("measuring"))
@@ -71,23 +72,6 @@ def opening(
             ]
             progress(number + 1, len(commands))
     options.report(record, rows, terrain=terrain)
-
-
-def _middle_of(terrain: HeightField, reach_m: float) -> Rectangle:
-    """Return the square in a DEM's middle.
-
-    It reaches ``reach_m`` to each side, but not out of the DEM.
-    """
-    west, south, east, north = terrain.bounds_m
-    across_m = min(reach_m, (east - west) / 2.0)
-    along_m = min(reach_m, (north - south) / 2.0)
-    middle = (west + east) / 2.0, (south + north) / 2.0
-    return (
-        middle[0] - across_m,
-        middle[1] - along_m,
-        middle[0] + across_m,
-        middle[1] + along_m,
-    )
 
 
 def _commands(

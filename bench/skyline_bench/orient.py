@@ -19,12 +19,13 @@ from PIL import Image
 from typer import Option
 
 from skyline import Orientation, Orienter, PhotoSkyline, read_dem
-from skyline.arrays import Progress
 from skyline.cli.terminal import Terminal
 from skyline.errors import InputError, SkylineError
 from skyline.geodesy.bounds import in_turn
 from skyline.geodesy.map_frame import Rectangle
-from skyline.orientation import DEFAULT_POSITION_SD_M, RIGHT_DEG, Place, orienters
+from skyline.orientation import RIGHT_DEG
+from skyline.orienter import DEFAULT_POSITION_SD_M, KnownPosition, orienters
+from skyline.progress import Progress
 from skyline.render.depth import DepthRenderer
 from skyline.survey.plans import map_bounds
 from skyline.terrain.heightfield import HeightField
@@ -63,7 +64,7 @@ _TABLES = {
 }
 """Columns of the printed tables, by what is measured."""
 
-_OrienterAt = Callable[[Place], Orienter]
+_OrienterAt = Callable[[KnownPosition], Orienter]
 _Held = tuple[SyntheticQuery, Orientation]
 """A made photo, and how its camera was found to be held."""
 
@@ -316,7 +317,7 @@ def _oriented(
     """
     try:
         lon, lat = map(float, lonlat)
-        place = Place(lon, lat, elevation_m, DEFAULT_POSITION_SD_M)
+        place = KnownPosition(lon, lat, elevation_m, DEFAULT_POSITION_SD_M)
         return orienter_at(place).orient(query, fov_deg)
     except SkylineError as error:
         blank = PhotoSkyline(np.full(1, np.nan), np.zeros(1), 1, 1)

@@ -25,14 +25,14 @@ from skyline import MatchConfig, build_places, open_store, read_dem
 from skyline.arrays import IntArray, UInt8Array
 from skyline.cli.terminal import Terminal
 from skyline.geodesy.map_frame import Frame
+from skyline.match.distant_shards import OpenAreas, Part, distant_shards
 from skyline.match.prior import NOTHING_KNOWN
 from skyline.match.rays import Rays
 from skyline.match.retrieval import Retriever
-from skyline.match.screen import silent
 from skyline.match.search import one_blas_thread
 from skyline.match.shard import LocalShard
-from skyline.match.spread import OpenAreas, Part, distant_shards
 from skyline.pose import Poses
+from skyline.progress import silent
 from skyline.store.layout import PLACES_A_CHUNK
 from skyline.store.mapped_places import PlaceMap
 from skyline.store.places import Places

@@ -6,10 +6,10 @@ from typing import Annotated
 import numpy as np
 from typer import Option
 
-from skyline.arrays import Progress
 from skyline.cli.terminal import Terminal
 from skyline.grids import GRID_EYE_HEIGHT_M, GRID_STEP_DEG, sky_view_grid
 from skyline.horizons import DEFAULT_STEP_DEG, horizons_of
+from skyline.progress import Progress
 from skyline.terrain.dem import read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.provenance import DemOptions

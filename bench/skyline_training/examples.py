@@ -21,7 +21,7 @@ from typing import TypeVar
 import numpy as np
 
 from skyline import Matcher, build_places, read_dem
-from skyline.arrays import Float64Array, Progress
+from skyline.arrays import Float64Array
 from skyline.errors import InputError
 from skyline.geodesy.bounds import in_turn
 from skyline.geodesy.map_frame import Rectangle
@@ -29,12 +29,15 @@ from skyline.match import confidence
 from skyline.match.prior import GPS_SD_M, NOTHING_KNOWN, PlacePrior, Prior
 from skyline.match.search import FullMatcher
 from skyline.photo.extract import extract_skyline
+from skyline.photo.frame import CROP
 from skyline.photo.noted_fov import CROP_SHARES, NOMINAL_SD
 from skyline.photo.skyline import Lens
 from skyline.pose import SAME_VIEW_DEG, Poses
+from skyline.progress import Progress
 from skyline.render.depth import DepthRenderer
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.provenance import DemOptions
+from skyline_bench.measuring import middle_of
 from skyline_bench.queries.kinds import perturbed, resampled
 from skyline_bench.queries.made_photos import Scenery
 from skyline_bench.queries.synthetic import QueryConfig, SyntheticQuery, make_queries
@@ -156,7 +159,7 @@ def _examples_on(
     apart.
     """
     other, coarse = perturbed(terrain, seed=seed), resampled(terrain, COARSE_M)
-    area, wide = middle_of(terrain, SIDE_M, OUTSIDE), middle_of(terrain, WIDE_M, OUTSIDE)
+    area, wide = built_of(terrain, SIDE_M, OUTSIDE), built_of(terrain, WIDE_M, OUTSIDE)
 
     def made(
         seen: HeightField, area_m: Rectangle, number: int, config: QueryConfig
@@ -181,7 +184,7 @@ def _examples_on(
     strangers = _without_prior(strangers_of(strange, queries, seed))
     found: dict[str, list[Example]] = {name: [] for name in STAGES}
     for model, side_m, kinds in ((terrain, SIDE_M, own), (coarse, WIDE_M, in_coarse)):
-        with _matcher(model, middle_of(model, side_m), folder, places) as matcher:
+        with _matcher(model, built_of(model, side_m), folder, places) as matcher:
             for kind, some in kinds.items():
                 for stage, example in examples_from(matcher, some, kind):
                     found[stage].append(example)
@@ -296,15 +299,14 @@ def _example(
     )
 
 
-def middle_of(terrain: HeightField, side_m: float = SIDE_M, wider: float = 1.0) -> Rectangle:
+def built_of(terrain: HeightField, side_m: float = SIDE_M, wider: float = 1.0) -> Rectangle:
     """Return the square in a terrain's middle that is built.
 
     ``wider`` is a factor on its side.
     """
     west, south, east, north = terrain.bounds_m
-    half = 0.5 * min(side_m, 0.7 * (east - west), 0.7 * (north - south))
-    middle = np.array([(west + east) / 2.0, (south + north) / 2.0])
-    return (*(middle - wider * half), *(middle + wider * half))
+    side_m = wider * min(side_m, 0.7 * (east - west), 0.7 * (north - south))
+    return middle_of(terrain.bounds_m, (side_m, side_m))
 
 
 def strangers_of(terrain: HeightField, queries: int, seed: int) -> list[SyntheticQuery]:
@@ -313,7 +315,7 @@ def strangers_of(terrain: HeightField, queries: int, seed: int) -> list[Syntheti
     Plain ones and photographs are among them. There is a stranger of each kind for every
     `STRANGERS_SHARE` of ``queries``.
     """
-    count, area = max(queries // STRANGERS_SHARE, 1), middle_of(terrain)
+    count, area = max(queries // STRANGERS_SHARE, 1), built_of(terrain)
     made = {
         kind: with_lenses(make_queries(terrain, area, count, number, kind), number)
         for number, kind in enumerate((*KINDS, _PLAIN, PHOTO), start=seed + 100)
@@ -349,7 +351,7 @@ def _noted_alone(fov_deg: float, rng: np.random.Generator) -> Lens:
     """
     tangent = math.tan(math.radians(fov_deg) / 2.0) * math.exp(NOMINAL_SD * rng.standard_normal())
     if rng.uniform() < CROP_SHARES.resized:
-        tangent /= rng.uniform(*CROP_SHARES.left)
+        tangent /= rng.uniform(*CROP.left)
     noted_rad = 2.0 * math.atan(tangent)
     return Lens(
         math.degrees(noted_rad),

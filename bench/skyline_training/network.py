@@ -26,8 +26,8 @@ from torch.nn import functional
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
-from skyline.arrays import Progress
 from skyline.files import write_whole
+from skyline.progress import Progress
 from skyline_training.landscapes import UNKNOWN, TrainingPhoto
 
 INPUTS = 4

@@ -14,13 +14,14 @@ from pathlib import Path
 import numpy as np
 
 from skyline import Orienter
-from skyline.arrays import Progress
 from skyline.errors import SkylineError
 from skyline.geodesy.bounds import in_turn
 from skyline.match import confidence
 from skyline.match.confidence import ORIENTED, Logistic
 from skyline.match.prior import Narrowing
-from skyline.orientation import LEAST_CONFIDENCE, RIGHT_DEG, Place, orienters
+from skyline.orientation import LEAST_CONFIDENCE, RIGHT_DEG
+from skyline.orienter import KnownPosition, orienters
+from skyline.progress import Progress
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.measuring import Row
 from skyline_bench.queries.kinds import perturbed, resampled
@@ -32,7 +33,7 @@ from skyline_training.examples import (
     LEARNED,
     PHOTO,
     Example,
-    middle_of,
+    built_of,
     on_each_terrain,
     photographed,
     read_terrains,
@@ -60,7 +61,7 @@ def _gathered_on(data: Path, queries: int, seed: int, name: str) -> list[Example
     There are queries of the terrain, of others like it and of a coarse model, and strangers.
     """
     terrain, strange = read_terrains(data, name)
-    area = middle_of(terrain)
+    area = built_of(terrain)
     other, coarse = perturbed(terrain, seed=seed), resampled(terrain, COARSE_M)
     own = [(terrain, terrain, kind) for kind in KINDS] + [(terrain, other, kind) for kind in KINDS]
     examples = list[Example]()
@@ -81,7 +82,7 @@ def _oriented(
     Places are drawn about the true ones; strangers have any place.
     """
     rng = np.random.default_rng([seed, 1])
-    west, south, east, north = middle_of(model)
+    west, south, east, north = built_of(model)
     with orienters(model) as orienter_at:
         for number, query in enumerate(queries):
             position_sd_m, truth = POSITION_SDS_M[number % len(POSITION_SDS_M)], query.truth
@@ -91,7 +92,9 @@ def _oriented(
                 place = rng.uniform(west, east), rng.uniform(south, north)
             lon, lat = map(float, model.frame.to_lonlat(*place))
             try:
-                found = _figures_of(orienter_at(Place(lon, lat, None, position_sd_m)), query)
+                found = _figures_of(
+                    orienter_at(KnownPosition(lon, lat, None, position_sd_m)), query
+                )
             except SkylineError:  # The place is on a hole.
                 continue
             if found is not None:

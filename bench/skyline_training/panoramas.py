@@ -11,11 +11,11 @@ import cv2
 import numpy as np
 from PIL import Image
 
-from skyline.arrays import Progress
 from skyline.camera import Projection
 from skyline.errors import InputError
 from skyline.photo.skyline import PhotoSkyline
 from skyline.photo.trace import write_trace
+from skyline.progress import Progress
 from skyline.render.depth import DepthRenderer
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints, stand_on

@@ -9,6 +9,7 @@ from typer import Option
 from skyline.cli.options import BoundsText, output_option, parse_bounds
 from skyline.cli.terminal import Terminal
 from skyline.fetch.dem_tiles import DEFAULT_SOURCE, SOURCE_VARIABLE, SOURCES, fetch_dem
+from skyline.progress import Step
 
 TileSource = Annotated[
     str | None,
@@ -52,7 +53,7 @@ def fetch(
         "the tiles that were fetched are kept, and the same command continues with the others",
         lambda: any(folder.glob("*.tif")),
     )
-    with terminal.progress("fetching tiles") as progress:
+    with terminal.progress(Step.FETCHING) as progress:
         done = fetch_dem(parse_bounds(bounds), source, folder, progress=progress)
     held = sum(path.stat().st_size for path in done.files)
     terminal.line(

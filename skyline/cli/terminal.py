@@ -31,7 +31,7 @@ from skyline.errors import printable
 from skyline.files import STANDARD
 
 if TYPE_CHECKING:
-    from skyline.arrays import Progress
+    from skyline.progress import Progress
 
 _SLOW_S = 5.0
 _NOTE_EVERY_S = 10.0

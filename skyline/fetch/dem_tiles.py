@@ -25,7 +25,7 @@ from rasterio.errors import RasterioError
 from rasterio.windows import Window
 from rasterio.windows import transform as transform_of
 
-from skyline.arrays import BoolArray, Progress
+from skyline.arrays import BoolArray
 from skyline.errors import FetchError, InputError, some_of
 from skyline.fetch.remote import (
     PATIENT,
@@ -37,6 +37,7 @@ from skyline.fetch.remote import (
 )
 from skyline.files import check_folder, for_gdal, write_whole
 from skyline.geodesy.bounds import Bounds, box_around, check_bounds, in_turn, width_deg
+from skyline.progress import Progress
 from skyline.terrain.raster_files import bands_of, without_secrets
 
 MAX_TILES = 64

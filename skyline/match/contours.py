@@ -173,7 +173,7 @@ def weighed_by_contours(
     near = [
         one
         for one in candidates
-        if one.area == best.area and best.is_same_answer(one, ROUGHLY_WITHIN_M)
+        if one.area == best.area and one.is_same_answer(best, ROUGHLY_WITHIN_M)
     ]
     factors = [
         _factor(_deviations(_pieces_of(photo, one, terrain, curvature, gradients), gradients))
@@ -188,7 +188,7 @@ def weighed_by_contours(
 
 def _shared(one: Pose, best: Pose, before: float, after: float) -> Pose:
     """Return a pose with its share of the new probabilities."""
-    if best.is_same_answer(one, ROUGHLY_WITHIN_M):
+    if one.is_same_answer(best, ROUGHLY_WITHIN_M):
         share = after / before if before > 0.0 else 1.0
     else:
         share = (1.0 - after) / (1.0 - before) if before < 1.0 else 1.0

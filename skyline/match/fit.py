@@ -112,13 +112,13 @@ class CurveFit:
         self._wander = rays.wander.astype(np.float32)
         self._prior = self._inverse_variances()
 
-    def fit(self, heading_rad: Float64Array, log_scale: Float64Array) -> Poses:
-        """Return the poses fitted from headings and logarithms of scales (M,).
+    def fit(self, grid_heading_rad: Float64Array, log_scale: Float64Array) -> Poses:
+        """Return the poses fitted from grid headings and logarithms of scales (M,).
 
         A cost is the mean of the rays' misses, in expected errors, plus what the priors add.
         """
         state = np.zeros(self._prior.shape, dtype=np.float32)
-        state[:, _HEADING] = heading_rad
+        state[:, _HEADING] = grid_heading_rad
         state[:, _LOG_SCALE] = log_scale
         state[:, _PITCH] = -np.median(self._misses(state).tangent, axis=1)
         for scale_deg in self._effort.scales_deg:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import logging
 import math
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from functools import cached_property
@@ -17,20 +16,19 @@ import numpy as np
 from PIL.Image import Image
 from pyproj import CRS
 
-from skyline.arrays import Progress
-from skyline.errors import InputError, SkylineError, StoreError
-from skyline.files import is_file, on_disk
+from skyline.errors import InputError
 from skyline.geodesy.map_frame import Frame
+from skyline.match.areas import MatchedArea, frame_of, paths_of, terrain_at_hand
 from skyline.match.confidence import beside_rivals
 from skyline.match.config import MatchConfig
 from skyline.match.contours import weighed_by_contours
+from skyline.match.joint_result import JointResult
 from skyline.match.method import MATCHERS, SearchMethod
-from skyline.match.posterior import AlikePlaces, MapGrid, Posterior, posterior_of
-from skyline.match.prior import NOTHING_KNOWN, Narrowing, PlacePrior, Prior
+from skyline.match.posterior import Findings, MapGrid, Posterior, posterior_of
+from skyline.match.prior import NOTHING_KNOWN, Narrowing, Prior
 from skyline.match.rays import Rays
 from skyline.match.refine import VIEW_WIDTH
-from skyline.match.result import TOP, JointResult, MatchResult
-from skyline.match.screen import ReportProgress, silent
+from skyline.match.result import TOP, MatchResult
 from skyline.match.shard import Shard
 from skyline.match.verdict import Verdict, candidate_reached, too_little
 from skyline.match.walk import check_times, joined
@@ -40,11 +38,11 @@ from skyline.photo.read import named_skyline
 from skyline.photo.skyline import PhotoSkyline
 from skyline.plugins import load
 from skyline.pose import ROUGHLY_WITHIN_M, Pose, Poses
+from skyline.progress import Progress, StepProgress, silent
 from skyline.render.context import Closeable, RenderThread
 from skyline.render.horizon import RenderConfig, RenderedScene
 from skyline.store.layout import StoreHeader
 from skyline.store.merge import by_model, open_joined
-from skyline.store.read import Store
 from skyline.terrain.dem import Dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.surface_model import read_surface
@@ -52,33 +50,9 @@ from skyline.terrain.viewpoints import Viewpoints
 
 T = TypeVar("T")
 
-_log = logging.getLogger(__name__)
-
 _DISAGREES = "the photo does not fit where the others were taken"
 _ALONE = "no other photo shows enough skyline to be compared with it"
 FULL = "full"
-
-
-@dataclass(frozen=True, slots=True)
-class MatchedArea:
-    """Stores of one DEM that a matcher searches.
-
-    Attributes
-    ----------
-    header : StoreHeader
-        The joint header of the stores.
-    frame : Frame
-        The frame of the places.
-    terrain : HeightField or None
-        The DEM; None if it cannot be read.
-    rows : int
-        Number of places, or of renderings.
-    """
-
-    header: StoreHeader
-    frame: Frame
-    terrain: HeightField | None
-    rows: int
 
 
 class Matcher(Closeable):
@@ -168,9 +142,7 @@ class Matcher(Closeable):
             if not len(file):
                 raise InputError(f"store {file.path} holds no {header.holds}; build it first")
             file.expect(method.holds)
-            frame = Frame(header.frame_wkt)
-            if not frame.is_local:
-                _check_frame(file, frame)
+            frame = frame_of(file)
             terrain = None if dem is None else header.read_dem(dem)
             if method.renders and terrain is None:
                 terrain = terrain_at_hand(header, "answers unrefined")
@@ -206,7 +178,7 @@ class Matcher(Closeable):
         return self.only_area().terrain
 
     def search_by(self, shards: Sequence[Sequence[Shard]], at_once: int) -> None:
-        """Search each area's places by shards, such as those of `skyline.match.spread`.
+        """Search each area's places by shards, such as those of `skyline.match.distant_shards`.
 
         ``at_once`` shards are asked at a time.
         """
@@ -248,7 +220,7 @@ class Matcher(Closeable):
         fov_deg: float | None = None,
         top: int = TOP,
         narrowing: Narrowing | None = None,
-        report_progress: ReportProgress = silent,
+        report_progress: StepProgress = silent,
     ) -> MatchResult:
         """Find where a photo was taken, or its mask, trace or skyline.
 
@@ -262,7 +234,7 @@ class Matcher(Closeable):
         narrowing : Narrowing, optional
             Knowledge about the photo's pose; only the full matcher takes any.
         report_progress : callable, optional
-            Called, in this thread, with the current step of the match and the share of that step
+            Called, in this thread, with the current `skyline.progress.Step` and the share of it
             that is done, 0 to 1. An exception that it raises ends the match.
 
         Returns
@@ -310,7 +282,7 @@ class Matcher(Closeable):
         skyline: PhotoSkyline,
         top: int,
         narrowing: Narrowing | None,
-        report_progress: ReportProgress,
+        report_progress: StepProgress,
     ) -> _Found:
         """Return what a search for a skyline finds; raises as `match`."""
         refusal = too_little(skyline)
@@ -349,7 +321,7 @@ class Matcher(Closeable):
         fov_deg: float | None = None,
         top: int = TOP,
         narrowings: Sequence[Narrowing | None] | None = None,
-        report_progress: ReportProgress = silent,
+        report_progress: StepProgress = silent,
     ) -> JointResult:
         """Find the one place where several photos were taken.
 
@@ -414,7 +386,7 @@ class Matcher(Closeable):
         return JointResult(results, seconds, verdict.refusal, known)
 
     def posterior(
-        self, result: MatchResult | JointResult, report_progress: ReportProgress = silent
+        self, result: MatchResult | JointResult, report_progress: StepProgress = silent
     ) -> Posterior:
         """Return the probability that a photo was taken at each place.
 
@@ -436,15 +408,14 @@ class Matcher(Closeable):
             See `match`.
         """
         frame = self.only_area().frame
-        candidates, fitted, places, noted = self._likely_places(result, report_progress)
-        return posterior_of(candidates, fitted, places, frame, noted)
+        return posterior_of(self._findings(result, report_progress), frame)
 
     def joined_posteriors(
         self,
         results: Sequence[MatchResult | JointResult],
         times: Sequence[datetime],
         walked_km_h: float,
-        report_progress: Progress | None = None,
+        progress: Progress | None = None,
     ) -> list[Posterior]:
         """Return the posterior of each photo of a walk, from all photos.
 
@@ -459,7 +430,7 @@ class Matcher(Closeable):
             When each was taken, all by one clock: all with a zone, or none.
         walked_km_h : float
             Greatest speed, kilometres per hour.
-        report_progress : callable, optional
+        progress : callable, optional
             Called with the numbers of photos that are done, and of all.
 
         Raises
@@ -480,27 +451,24 @@ class Matcher(Closeable):
         order = sorted(range(len(results)), key=lambda number: times[number])
         known = []
         for done, number in enumerate(order):
-            if report_progress is not None:
-                report_progress(done, len(order))
-            known.append(self._likely_places(results[number], silent))
-        grid = MapGrid.around((places, candidates) for candidates, _, places, _ in known)
-        alone = [
-            posterior_of(candidates, fitted, places, frame, noted, grid)
-            for candidates, fitted, places, noted in known
-        ]
+            if progress is not None:
+                progress(done, len(order))
+            known.append(self._findings(results[number], silent))
+        grid = MapGrid.around(known)
+        alone = [posterior_of(found, frame, grid) for found in known]
         hours = [(times[b] - times[a]) / timedelta(hours=1) for a, b in pairwise(order)]
         together = joined(alone, [1000.0 * walked_km_h * one for one in hours])
         return [together[order.index(number)] for number in range(len(order))]
 
-    def _likely_places(
-        self, result: MatchResult | JointResult, report_progress: ReportProgress
-    ) -> tuple[Sequence[Pose], Poses, AlikePlaces, PlacePrior | None]:
-        """Return what `posterior_of` takes of a search: candidates, fits, places, noted place."""
+    def _findings(
+        self, result: MatchResult | JointResult, report_progress: StepProgress
+    ) -> Findings:
+        """Return what a search tells of all places, which are compared once more."""
         photos, candidates = _searched(result)
         known = [self._rays_and_prior(skyline, narrowing) for skyline, narrowing in photos]
         fitted, places = self._method.likely_places(known, report_progress)
         noted = next((prior.noted for _, prior in known if prior.noted is not None), None)
-        return candidates, fitted, places, noted
+        return Findings(candidates, fitted, places, noted)
 
     def _read(
         self,
@@ -528,7 +496,7 @@ class Matcher(Closeable):
         return read
 
     def _found_together(
-        self, usable: Mapping[int, tuple[Rays, Prior]], top: int, report: ReportProgress
+        self, usable: Mapping[int, tuple[Rays, Prior]], top: int, report: StepProgress
     ) -> dict[int, tuple[Pose, ...]]:
         """Return the candidates of the photos that agree, by number.
 
@@ -673,55 +641,6 @@ def _without_search(pose: Pose, refusal: str | None) -> Pose:
     if refusal:
         pose = replace(pose, covariance_m2=None, covariance=None)
     return replace(pose, rank=None, confidence=None, confidence_1km=None)
-
-
-def _check_frame(store: Store, frame: Frame) -> None:
-    """Raise `StoreError` if angles are wrong on a store's map.
-
-    Earlier releases built such stores.
-    """
-    eyes = store.eyes()
-    east_m, north_m = eyes.easting_m, eyes.northing_m
-    box_m = float(east_m.min()), float(north_m.min()), float(east_m.max()), float(north_m.max())
-    if error_deg := frame.untrue_deg(box_m):
-        raise StoreError(
-            f"store {store.path} was built by skyline {store.header.package_version} on the map "
-            f"of {frame.name}, where slopes and directions are wrong by up to {error_deg:.2f} "
-            "degrees; build it again, and its DEM is warped first"
-        )
-
-
-def terrain_at_hand(header: StoreHeader, otherwise: str) -> HeightField | None:
-    """Return a store's terrain, read from its DEM files.
-
-    If they cannot be read, a warning names the consequence ``otherwise``, and None is returned.
-    Only plain files are read: a store from a stranger must not make the reader open anything else.
-    """
-    if not header.dem_files:
-        why = "the store was built from heights that came from no file; give the DEM (--dem)"
-    elif not all(is_file(on_disk(file)) for file in header.dem_files):
-        files = ", ".join(header.dem_files)
-        why = f"the store's DEM is not at hand (no file here is {files}); name its files with --dem"
-    else:
-        try:
-            return header.read_dem()
-        except SkylineError as error:
-            why = f"the store's DEM cannot be used: {error}"
-    _log.warning("%s: %s", otherwise, why)
-    return None
-
-
-def paths_of(store: str | Path | Sequence[str | Path]) -> Sequence[str | Path]:
-    """Return the paths of one store or several.
-
-    Raises `InputError` for anything else.
-    """
-    if isinstance(store, str | Path):
-        return [store]
-    paths = list(store) if isinstance(store, Iterable) else [store]
-    if not paths or not all(isinstance(one, str | Path) for one in paths):
-        raise InputError(f"store is {store!r}; expected the path of a store, or several paths")
-    return paths
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,9 +10,9 @@ from skyline.match.other_projection import OtherProjection
 from skyline.match.posterior import AlikePlaces
 from skyline.match.prior import Prior
 from skyline.match.rays import Rays
-from skyline.match.screen import ReportProgress, silent
 from skyline.match.shard import Shard
 from skyline.pose import Pose, Poses
+from skyline.progress import StepProgress, silent
 from skyline.render.horizon import RenderedScene
 from skyline.store.read import Store
 from skyline.terrain.heightfield import HeightField
@@ -53,7 +53,7 @@ class SearchMethod(ABC):
     def joined(cls, methods: Sequence[Self]) -> Self:
         """Return one method for the areas of several methods.
 
-        Its poses have `Poses.sites`, with the areas in the order of ``methods``.
+        Its poses have `Poses.in_areas`, with the areas in the order of ``methods``.
         """
         raise InputError(
             f"this matcher searches stores of one elevation model, and these are of {len(methods)};"
@@ -72,7 +72,7 @@ class SearchMethod(ABC):
         """Return the eyes of the store, evenly thinned if very many."""
 
     @abstractmethod
-    def search(self, rays: Rays, prior: Prior, top: int, report: ReportProgress = silent) -> Poses:
+    def search(self, rays: Rays, prior: Prior, top: int, report: StepProgress = silent) -> Poses:
         """Return up to ``top`` poses that fit a photo, best first.
 
         Parameters
@@ -96,7 +96,7 @@ class SearchMethod(ABC):
         self,
         photos: Sequence[tuple[Rays, Prior]],
         top: int,
-        report: ReportProgress = silent,
+        report: StepProgress = silent,
     ) -> tuple[list[Poses], BoolArray]:
         """Return the best common places of photos of one eye.
 
@@ -107,7 +107,7 @@ class SearchMethod(ABC):
         raise InputError(BY_RENDERING)
 
     def likely_places(
-        self, photos: Sequence[tuple[Rays, Prior]], report: ReportProgress = silent
+        self, photos: Sequence[tuple[Rays, Prior]], report: StepProgress = silent
     ) -> tuple[Poses, AlikePlaces]:
         """Return how photos of one eye compare with all searched places.
 

@@ -28,8 +28,9 @@ from skyline.camera import MAX_FISHEYE_DEG, MAX_PANORAMA_DEG, Projection
 from skyline.match.lens_prior import LensPrior
 from skyline.match.rays import Rays, in_runs, usual_distortion
 from skyline.match.refine import Refinement
-from skyline.match.solver import LOG_SCALE, ROUGH, TEMPERATURE, WARP, Fit
+from skyline.match.solver import ROUGH, TEMPERATURE, Fit
 from skyline.pose import Poses
+from skyline.pose_errors import LOG_SCALE, WARP
 
 
 @dataclass(frozen=True, slots=True)

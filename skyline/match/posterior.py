@@ -42,6 +42,7 @@ import cv2
 import numpy as np
 
 from skyline.arrays import Float32Array, Float64Array, Rows, ShortRepr
+from skyline.cf import METRES
 from skyline.errors import InputError, library
 from skyline.geodesy.map_frame import Frame
 from skyline.match.prior import PlacePrior
@@ -111,6 +112,28 @@ class AlikePlaces(Rows):
     northing_m: Float64Array
     half_m: Float64Array
     score: Float64Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Findings:
+    """What a search tells about where a photo was taken.
+
+    Attributes
+    ----------
+    candidates : sequence of Pose
+        Best first, with their confidences; may be empty.
+    fitted : Poses
+        Poses that fit without rendering.
+    places : AlikePlaces
+        The places that were searched, one or more.
+    noted : PlacePrior or None
+        The place that the photo notes. Candidates' confidences already allow for it.
+    """
+
+    candidates: Sequence[Pose]
+    fitted: Poses
+    places: AlikePlaces
+    noted: PlacePrior | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -239,12 +262,11 @@ class Posterior(ShortRepr):
             Xarray is not installed.
         """
         rows, cols = self.probability.shape
-        metres = {"units": "m"}
         made: DataArray = library("xarray", "a DataArray").DataArray(
             self.probability,
             {
-                "y": ("y", self.north_m - (np.arange(rows) + 0.5) * self.cell_m, metres),
-                "x": ("x", self.west_m + (np.arange(cols) + 0.5) * self.cell_m, metres),
+                "y": ("y", self.north_m - (np.arange(rows) + 0.5) * self.cell_m, METRES),
+                "x": ("x", self.west_m + (np.arange(cols) + 0.5) * self.cell_m, METRES),
             },
             name="probability",
             attrs={"long_name": "probability of a cell", "crs_wkt": self.frame.wkt},
@@ -263,11 +285,12 @@ class MapGrid:
     cols: int
 
     @classmethod
-    def around(cls, searches: Iterable[tuple[AlikePlaces, Sequence[Pose]]]) -> MapGrid:
+    def around(cls, searches: Iterable[Findings]) -> MapGrid:
         """Return the grid around the places and the candidates of searches."""
         corners_m = []
-        for places, candidates in searches:
-            corners_m += [(one.easting_m, one.northing_m) for one in candidates]
+        for found in searches:
+            corners_m += [(one.easting_m, one.northing_m) for one in found.candidates]
+            places = found.places
             for sign in (-1.0, 1.0):
                 east_m = places.easting_m + sign * places.half_m
                 north_m = places.northing_m + sign * places.half_m
@@ -279,33 +302,14 @@ class MapGrid:
         return cls(west, north, cell_m, rows, cols)
 
 
-def posterior_of(
-    candidates: Sequence[Pose],
-    fitted: Poses,
-    places: AlikePlaces,
-    frame: Frame,
-    noted: PlacePrior | None = None,
-    grid: MapGrid | None = None,
-) -> Posterior:
-    """Return the posterior of a photo.
+def posterior_of(found: Findings, frame: Frame, grid: MapGrid | None = None) -> Posterior:
+    """Return the posterior of a photo, in the frame of its places and poses.
 
-    Parameters
-    ----------
-    candidates : sequence of Pose
-        Best first, with their confidences; may be empty.
-    fitted : Poses
-        Poses that fit without rendering.
-    places : AlikePlaces
-        The places that were searched, one or more.
-    frame : Frame
-        The frame of places and poses.
-    noted : PlacePrior, optional
-        The place that the photo notes. Candidates' confidences already allow for it.
-    grid : MapGrid, optional
-        By default the one around the places and the candidates.
+    By default the grid is the one around the places and the candidates.
     """
-    spots, roughly, left = candidate_spots(candidates)
-    layer = _Layer.on(grid or MapGrid.around([(places, candidates)]))
+    fitted, places, noted = found.fitted, found.places, found.noted
+    spots, roughly, left = candidate_spots(found.candidates)
+    layer = _Layer.on(grid or MapGrid.around([found]))
     for spot in spots:
         layer.add_spot(spot)
     if len(spots):

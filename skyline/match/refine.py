@@ -24,14 +24,10 @@ from skyline.arrays import BoolArray, Complex128Array, Float64Array, IntArray, R
 from skyline.geodesy.bounds import in_turn
 from skyline.match.prior import NOTHING_KNOWN, EyeHeightPrior, Prior
 from skyline.match.rays import Rays
-from skyline.match.screen import ReportProgress, silent
 from skyline.match.solver import (
     EYE_HEIGHT,
     FINE,
     FOLLOW,
-    HEADING,
-    LOG_SCALE,
-    ROLL,
     ROUGH,
     SCOUT,
     TEMPERATURE,
@@ -47,6 +43,8 @@ from skyline.pose import (
     FitFigures,
     Poses,
 )
+from skyline.pose_errors import HEADING, LOG_SCALE, ROLL
+from skyline.progress import Step, StepProgress, silent
 from skyline.render.horizon import RenderedScene
 from skyline.skylines import joined_views
 from skyline.terrain.heightfield import ground_slope
@@ -168,7 +166,7 @@ class Refinement:
         prior: Prior = NOTHING_KNOWN,
         eye: EyeHeightPrior | None = None,
         first_eye_height_m: float | None = None,
-        report: ReportProgress = silent,
+        report: StepProgress = silent,
     ) -> None:
         self._scene = scene
         self.effort = effort
@@ -291,7 +289,7 @@ class Refinement:
 
     def _seen(self, solver: Solver, place_m: Complex128Array, state: Float64Array) -> Curves:
         """Render the photo's directions from M eyes at their states' heights."""
-        self._report("refining", min(1.0, self._rendered / self._expected))
+        self._report(Step.REFINING, min(1.0, self._rendered / self._expected))
         self._rendered += 1
         easting_m, northing_m = place_m.real, place_m.imag
         ground_m = self._scene.ground_m(easting_m, northing_m)
@@ -388,10 +386,10 @@ class Refinement:
         return np.column_stack([np.degrees(sd[:, HEADING : ROLL + 1]), fov_deg])
 
 
-def together(parts: Sequence[Poses], count: int) -> Poses:
-    """Return the best distinct poses of several refinements, best first.
+def best_of_areas(parts: Sequence[Poses], count: int) -> Poses:
+    """Return the best distinct poses of one photo in several areas, best first.
 
-    Their margins are over the poses of all refinements, which are of one photo in different areas.
+    Their margins are over the poses of all areas.
     """
     if len(parts) == 1:
         return parts[0]

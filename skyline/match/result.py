@@ -1,4 +1,4 @@
-"""The answer to a photo, as sentences, JSON, rows and tables."""
+"""The answer to one photo, as sentences, JSON, rows and tables."""
 
 import math
 from collections.abc import Iterable, Iterator
@@ -22,14 +22,10 @@ if TYPE_CHECKING:
     from geopandas import GeoDataFrame
     from pandas import DataFrame
 
+    from skyline.match.joint_result import JointResult
+
 TOP = 5
 """Candidates that a search returns by default."""
-_OF_CAMERA = (
-    "heading_deg", "pitch_deg", "roll_deg", "fov_deg", "distortion", "beyond_share",
-    "residual_deg", "terrain_share", "skyline_m", "covariance",
-)  # fmt: skip
-"""Keys of a candidate that differ between photos of one place."""
-
 NORTHS = {True: ", from magnetic north", False: "", None: ", from a north that it does not name"}
 _NO_COLUMNS = {"covariance_m2", "covariance", "rank"}
 _COVARIANCE = ("easting_variance_m2", "northing_variance_m2", "easting_northing_covariance_m2")
@@ -105,7 +101,7 @@ class MatchResult:
     @property
     def confidence(self) -> float | None:
         """The estimated probability that the answer is right within `within_m`."""
-        return None if self.answer is None else _confidence_within(self.answer, self.within_m)
+        return None if self.answer is None else confidence_within(self.answer, self.within_m)
 
     def chosen(self, rank: int) -> "MatchResult":
         """Return the result with a chosen candidate first.
@@ -130,7 +126,7 @@ class MatchResult:
             f"latitude {best.lat:.5f}°, longitude {best.lon:.5f}°, looking "
             f"{best.heading_deg:.1f}° from true north"
         )
-        confidence = _confidence_within(best, self.within_m)
+        confidence = confidence_within(best, self.within_m)
         if confidence is not None:
             place += f", confidence {100.0 * confidence:.0f}\N{NO-BREAK SPACE}%"
         if self.answer is not None and self.within_m is not None:
@@ -267,12 +263,13 @@ class MatchResult:
         """Return the lines that ``skyline match`` prints."""
         lens = self.skyline.lens
         lines = [f"{printable(self.name) or 'photo'} ({self.seconds:.2f} s)"]
-        lines += _verdict_lines(self, "candidate 1")
+        lines += verdict_lines(self, "candidate 1")
         if self.candidates:
             lines.append("candidates, best first:")
         for number, one in enumerate(self.candidates, start=1):
             unrefined = "" if one.refined else "  (unrefined)"
-            lines.append(f"{number}. {_place(one)}  {_view(one)}  {_quality(one)}{unrefined}")
+            words = place_in_words(one), view_in_words(one), quality_in_words(one)
+            lines.append(f"{number}. {'  '.join(words)}{unrefined}")
         if 0 < len(self.candidates) < TOP:
             lines.append("no other place fits well enough to be a candidate")
         if self.beyond:
@@ -301,124 +298,6 @@ class MatchResult:
         )
         table = f"<table><tr>{header}</tr>{rows}</table>" if rows else ""
         return f"<div><p>{escape(self.summary)}</p>{_skyline_svg(self.skyline)}{table}</div>"
-
-
-@dataclass(frozen=True, slots=True)
-class JointResult:
-    """The places found for several photos that were taken at one place.
-
-    Attributes
-    ----------
-    results : tuple of MatchResult
-        One for each photo. The candidates of those that agree are the same places with the same
-        confidences; each has its own camera there. A photo that does not agree has no candidates,
-        and its refusal says why.
-    seconds : float
-        From the photos to the places.
-    refusal : str or None
-        Why there is no answer, where there is none.
-    narrowings : tuple of Narrowing
-        What was known about the pose of each photo.
-    """
-
-    results: tuple[MatchResult, ...]
-    seconds: float
-    refusal: str | None = None
-    narrowings: tuple[Narrowing, ...] = ()
-
-    @property
-    def agrees(self) -> tuple[bool, ...]:
-        """Whether each photo was likely taken at the best place."""
-        return tuple(bool(one.candidates) for one in self.results)
-
-    @property
-    def first(self) -> MatchResult | None:
-        """The result of the first photo that agrees, or None."""
-        return next((one for one in self.results if one.candidates), None)
-
-    @property
-    def places(self) -> tuple[Pose, ...]:
-        """The places, best first.
-
-        They have the camera of the first photo that agrees.
-        """
-        return () if self.first is None else self.first.candidates
-
-    @property
-    def answer(self) -> Pose | None:
-        """The best place, if it is sure enough to be the answer.
-
-        The camera is as in `places`.
-        """
-        return self.places[0] if self.places and not self.refusal else None
-
-    @property
-    def within_m(self) -> float | None:
-        """Distance within which the answer is surely right; None without one."""
-        return None if self.first is None else self.first.within_m
-
-    @property
-    def confidence(self) -> float | None:
-        """The estimated probability that the answer is right within `within_m`."""
-        return None if self.answer is None else _confidence_within(self.answer, self.within_m)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the result as ``skyline match --same-place --json`` prints it.
-
-        Places are candidates without a camera; each photo that agrees has its own.
-        """
-        places = [
-            {name: value for name, value in one.to_dict().items() if name not in _OF_CAMERA}
-            for one in self.places
-        ]
-        photos = []
-        for one in self.results:
-            about: dict[str, Any] = {"refusal": one.refusal}
-            if one.best is not None:
-                of_best = one.best.to_dict()
-                about = {name: of_best[name] for name in _OF_CAMERA}
-            agrees = one.best is not None
-            names = {"photo": printable(one.name), **({"id": printable(one.id)} if one.id else {})}
-            photos.append({**names, "agrees": agrees, **about})
-        return {
-            "answer": places[0] if self.answer is not None else None,
-            "answer_within_m": self.within_m,
-            "answer_confidence": self.confidence,
-            "candidates": places,
-            **({} if self.refusal is None else {"refusal": self.refusal}),
-            "photos": photos,
-            "seconds": self.seconds,
-        }
-
-    def to_text(self) -> str:
-        """Return the lines that ``skyline match --same-place`` prints."""
-        lines = [f"{len(self.results)} photos of one place ({self.seconds:.2f} s)"]
-        lines += _verdict_lines(self, "place 1")
-        if self.places:
-            lines.append("places, best first:")
-        for number, one in enumerate(self.places, start=1):
-            lines.append(f"{number}. {_place(one)}  {_quality(one)}")
-        for result in self.results:
-            refused = f"does not agree: {result.refusal}"
-            view = refused if result.best is None else _view(result.best)
-            lines.append(f"{printable(result.name)}: {view}")
-        return "\n  ".join(lines)
-
-    def to_dataframe(self) -> "DataFrame":
-        """Return the cameras as a pandas DataFrame, one row a photo.
-
-        See `skyline.to_dataframe`.
-        """
-        return to_dataframe(self.results)
-
-    def to_geodataframe(self) -> "GeoDataFrame":
-        """Return the cameras as points of a GeoDataFrame; see `skyline.to_geodataframe`."""
-        return to_geodataframe(self.results)
-
-    def __repr__(self) -> str:
-        first = self.first
-        summary = f"Not answered: {self.refusal}." if first is None else first.summary
-        return f"JointResult({summary} {sum(self.agrees)} of {len(self.results)} photos agree)"
 
 
 class Tabled(Protocol):
@@ -490,11 +369,12 @@ def to_geodataframe(results: Iterable[MatchResult]) -> "GeoDataFrame":
     return geopandas.GeoDataFrame(columns, geometry=places, crs=given[0].crs if given else WGS84)
 
 
-def _confidence_within(one: Pose, within_m: float | None) -> float | None:
+def confidence_within(one: Pose, within_m: float | None) -> float | None:
+    """Return the confidence of a pose within 1 km if it is asked for, else within 200 m."""
     return one.confidence_1km if within_m == ROUGHLY_WITHIN_M else one.confidence
 
 
-def _verdict_lines(result: MatchResult | JointResult, best: str) -> Iterator[str]:
+def verdict_lines(result: "MatchResult | JointResult", best: str) -> Iterator[str]:
     """Yield lines on the answer, or on why there is none."""
     if result.answer is not None:
         sure = ""
@@ -505,19 +385,22 @@ def _verdict_lines(result: MatchResult | JointResult, best: str) -> Iterator[str
         yield f"no answer: {result.refusal}"
 
 
-def _place(one: Pose) -> str:
+def place_in_words(one: Pose) -> str:
+    """Return latitude, longitude and radius of a pose in words."""
     radius = "" if one.radius_m is None else f" +- {one.radius_m:.0f} m"
     return f"lat {one.lat:.5f} lon {one.lon:.5f}{radius}"
 
 
-def _view(one: Pose) -> str:
+def view_in_words(one: Pose) -> str:
+    """Return heading, pitch and field of view of a pose in words."""
     return (
         f"heading {one.heading_deg:.1f} from true north  pitch {one.pitch_deg:.1f}  fov "
         f"{one.fov_deg:.1f}"
     )
 
 
-def _quality(one: Pose) -> str:
+def quality_in_words(one: Pose) -> str:
+    """Return the confidences of a pose in words, or its cost without any."""
     if one.confidence is None:
         return f"cost {one.cost:.3g} (the lower, the better it fits)"
     return f"confidence {one.confidence:.2f} within 200 m, {one.confidence_1km:.2f} within 1 km"

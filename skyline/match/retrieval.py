@@ -26,9 +26,10 @@ from skyline.match.fit import GOOD_FIT, ROUGH_FIT, FitEffort
 from skyline.match.posterior import AlikePlaces
 from skyline.match.prior import NOTHING_KNOWN, Prior
 from skyline.match.rays import REFERENCE_FOV_DEG, Rays
-from skyline.match.screen import Alike, ReportProgress, Screen, silent
+from skyline.match.screen import Alike, Screen
 from skyline.match.shard import Shard, Starts, Turns
 from skyline.pose import Poses
+from skyline.progress import StepProgress, silent
 from skyline.store.places import Places
 
 T = TypeVar("T")
@@ -130,11 +131,11 @@ class Retriever:
 
     def allowed(self, prior: Prior, poses: Poses) -> BoolArray:
         """Return which poses (M,) a narrowing allows."""
-        if poses.sites is None:
+        if poses.in_areas is None:
             return prior.allows(poses)
         allowed = np.zeros(len(poses), dtype=bool)
         for area, its_prior in enumerate(prior.in_frames(self._frames)):
-            mine = np.flatnonzero(poses.sites.area == area)
+            mine = np.flatnonzero(poses.in_areas.area == area)
             allowed[mine] = its_prior.allows(poses[mine])
         return allowed
 
@@ -180,7 +181,7 @@ class Retriever:
         rays: Rays,
         count: int,
         prior: Prior = NOTHING_KNOWN,
-        report: ReportProgress = silent,
+        report: StepProgress = silent,
     ) -> Poses:
         """Return the last of `shortlists`."""
         *_, last = self.shortlists(rays, count, prior, report)
@@ -191,7 +192,7 @@ class Retriever:
         rays: Rays,
         count: int,
         prior: Prior = NOTHING_KNOWN,
-        report: ReportProgress = silent,
+        report: StepProgress = silent,
     ) -> Iterator[Poses]:
         """Yield short lists of a photo's likely poses, each from more places.
 
@@ -216,7 +217,7 @@ class Retriever:
         screens: Sequence[Sequence[Screen]],
         priors: Sequence[Prior],
         counts: Sequence[int],
-        report: ReportProgress,
+        report: StepProgress,
     ) -> Iterator[Alike]:
         """Yield the places of each short list that earlier lists lack.
 
@@ -244,7 +245,7 @@ class Retriever:
         screens: Sequence[Screen],
         priors: Sequence[Prior],
         count: int,
-        report: ReportProgress,
+        report: StepProgress,
     ) -> Alike:
         """Return the best ``count`` places of all shards, best first."""
         known = [prior.in_frames(self._frames) for prior in priors]
@@ -274,7 +275,7 @@ class Retriever:
         )
 
     def alike_places(
-        self, photos: Sequence[tuple[Rays, Prior]], report: ReportProgress = silent
+        self, photos: Sequence[tuple[Rays, Prior]], report: StepProgress = silent
     ) -> AlikePlaces:
         """Return all places within the narrowings of photos, with scores.
 
@@ -295,7 +296,7 @@ class Retriever:
 
         They start from headings all the way round. No place is screened out, so there must be few.
         """
-        row, heading_rad, log_scale = np.meshgrid(
+        row, grid_heading_rad, log_scale = np.meshgrid(
             np.arange(len(self)),
             np.radians(np.arange(0.0, 360.0, _EFFORT.heading_step_deg)),
             _even_log_scales(rays, *rays.log_scale_bounds, _EFFORT.start_step),
@@ -304,7 +305,7 @@ class Retriever:
         starts = Starts(
             row=row.ravel(),
             score=np.zeros(row.size, dtype=np.float32),
-            heading_rad=heading_rad.ravel(),
+            grid_heading_rad=grid_heading_rad.ravel(),
             log_scale=log_scale.ravel(),
         )
         return self._fitted([rays], [starts], _EFFORT.good_most, silent)[0]
@@ -313,7 +314,7 @@ class Retriever:
         self,
         photos: Sequence[tuple[Rays, Prior]],
         count: int,
-        report: ReportProgress = silent,
+        report: StepProgress = silent,
     ) -> list[Poses]:
         """Return up to ``count`` likely common places, best first.
 
@@ -377,15 +378,15 @@ class Retriever:
             lambda shard, _, mine: shard.best_turns(screen, mine, turns),
             Turns.concatenate,
         )
-        peak = found.peak.ravel()
-        best = np.sort(np.argsort(-peak, kind="stable")[:count])
+        score = found.score.ravel()
+        best = np.sort(np.argsort(-score, kind="stable")[:count])
         # In a narrow range of headings a place may have fewer turns than are asked for.
-        best = best[peak[best] > -np.inf]
+        best = best[score[best] > -np.inf]
         place = best // turns
         return Starts(
             row=alike.row[place],
             score=alike.score[place],
-            heading_rad=np.radians(found.heading_deg.ravel()[best]),
+            grid_heading_rad=np.radians(found.grid_heading_deg.ravel()[best]),
             log_scale=log_scales[found.fov.ravel()[best]],
         )
 
@@ -394,7 +395,7 @@ class Retriever:
         photos: Sequence[Rays],
         starts: Sequence[Starts],
         count: int,
-        report: ReportProgress,
+        report: StepProgress,
     ) -> list[Poses]:
         """Return the photos' poses fitted well from the ``count`` best common starts.
 
@@ -412,10 +413,10 @@ class Retriever:
             for rays, start in zip(photos, starts, strict=True)
         ]
 
-    def _fits(self, rays: Rays, starts: Starts, effort: FitEffort, report: ReportProgress) -> Poses:
+    def _fits(self, rays: Rays, starts: Starts, effort: FitEffort, report: StepProgress) -> Poses:
         """Return the poses fitted from starts, in order.
 
-        They have sites if there are several areas.
+        They have `Poses.in_areas` if there are several areas.
         """
 
         def fitted(shard: Shard, mine: IntArray, rows: IntArray) -> Poses:
@@ -424,10 +425,10 @@ class Retriever:
         poses = self._of_each(starts.row, fitted, Poses.concatenate)
         if len(self._frames) < 2:
             return poses
-        return poses.sited(self._area[self._shard_of(starts.row)], self._frames)
+        return poses.found_in(self._area[self._shard_of(starts.row)], self._frames)
 
 
-def _report_part(report: ReportProgress, done: float, share: float, step: str, part: float) -> None:
+def _report_part(report: StepProgress, done: float, share: float, step: str, part: float) -> None:
     """Report part of a shard's work as a share of all work."""
     report(step, done + share * part)
 

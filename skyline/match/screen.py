@@ -43,12 +43,9 @@ from skyline.arrays import (
 )
 from skyline.geodesy.bounds import in_turn
 from skyline.match.rays import Rays, on_bins
+from skyline.progress import Step, StepProgress, silent
 from skyline.store.mapped_places import PlaceSource
 from skyline.store.places import PHASE_BINS, RISE_TO_TURN, Places, decode_phases
-
-ReportProgress = Callable[[str, float], None]
-"""Called with the current step of a match, and the share of that step that is done, 0 to 1. An
-exception that it raises ends the match."""
 
 _TURNS_AT_ONCE = 20
 """Neighbouring turns that one product spans; must divide the number of bins. With more turns, more
@@ -72,10 +69,6 @@ be few in each shard."""
 
 Scores = Callable[[UInt8Array], Float32Array]
 """Returns the scores (N,) of phases (N, B): `Screen.scores`, or a sum of several."""
-
-
-def silent(step: str, share: float) -> None:
-    """Report nothing."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -298,7 +291,7 @@ def screen_places(
     source: PlaceSource,
     count: int,
     contains: Callable[[Places], BoolArray],
-    report: ReportProgress = silent,
+    report: StepProgress = silent,
 ) -> Alike:
     """Return the best ``count`` places of a source, best first.
 
@@ -327,7 +320,7 @@ def screen_places(
             found, places = ahead.pop(0).result()
             ahead.extend(pool.submit(scored, batch) for batch in islice(batches, 1))
             seen += places
-            report("screening", seen / max(len(source), 1))
+            report(Step.SCREENING, seen / max(len(source), 1))
             kept = Alike.joined([kept, found])
             if len(kept) > _SLACK * count:
                 kept = kept.best(count)

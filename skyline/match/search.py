@@ -18,12 +18,12 @@ from skyline.match.other_projection import OtherProjection, find_other_projectio
 from skyline.match.posterior import AlikePlaces
 from skyline.match.prior import Narrowing, Prior
 from skyline.match.rays import Rays
-from skyline.match.refine import QUICK, WHOLE, Effort, Refinement, together
+from skyline.match.refine import QUICK, WHOLE, Effort, Refinement, best_of_areas
 from skyline.match.retrieval import Retriever
-from skyline.match.screen import ReportProgress, silent
 from skyline.match.shard import LocalShard, Shard
 from skyline.match.together import JointRefinement
 from skyline.pose import Pose, Poses
+from skyline.progress import StepProgress, silent
 from skyline.render.horizon import RenderedScene
 from skyline.store.layout import PLACES
 from skyline.store.read import Store
@@ -122,7 +122,7 @@ class FullMatcher(SearchMethod):
         east_m, north_m, eye_m = (column.astype(np.float64) for column in eyes)
         return Viewpoints(easting_m=east_m, northing_m=north_m, eye_elevation_m=eye_m)
 
-    def search(self, rays: Rays, prior: Prior, top: int, report: ReportProgress = silent) -> Poses:
+    def search(self, rays: Rays, prior: Prior, top: int, report: StepProgress = silent) -> Poses:
         """Return up to ``top`` poses with confidences, best first; see `SearchMethod.search`."""
         found, poses = self.found(rays, prior, report)
         if not len(found):
@@ -146,7 +146,7 @@ class FullMatcher(SearchMethod):
 
     @one_blas_thread()
     def found(
-        self, rays: Rays, prior: Prior, report: ReportProgress = silent
+        self, rays: Rays, prior: Prior, report: StepProgress = silent
     ) -> tuple[Poses, Poses | None]:
         """Return the poses retrieved for a photo, and the refined ones.
 
@@ -166,7 +166,7 @@ class FullMatcher(SearchMethod):
         return found, self._refined(WHOLE, rays, prior, _with_noted(found, noted), report)
 
     def _refined(
-        self, effort: Effort, rays: Rays, prior: Prior, poses: Poses, report: ReportProgress
+        self, effort: Effort, rays: Rays, prior: Prior, poses: Poses, report: StepProgress
     ) -> Poses:
         """Return distinct poses that fit, best first; see `Refinement.run`.
 
@@ -176,22 +176,22 @@ class FullMatcher(SearchMethod):
         best = poses[np.argsort(poses.cost, kind="stable")[: effort.shortlist]]
         parts = []
         for number, (area, its_prior) in enumerate(zip(self._areas, priors, strict=True)):
-            own = replace(best[best.areas() == number], sites=None)
+            own = replace(best[best.areas() == number], in_areas=None)
             if area.scene is None or (not len(own) and number):
                 continue
             found = Refinement(rays, area.scene, effort, its_prior, report=report).run(own)
-            parts.append(self._sited(number, found))
-        return together(parts, effort.finalists)
+            parts.append(self._found_in(number, found))
+        return best_of_areas(parts, effort.finalists)
 
-    def _sited(self, area: int, poses: Poses) -> Poses:
-        """Return an area's poses with their sites, if there are several areas."""
+    def _found_in(self, area: int, poses: Poses) -> Poses:
+        """Return poses as found in an area, if there are several."""
         if not self._frames:
             return poses
-        return poses.sited(np.full(len(poses), area, dtype=np.intp), self._frames)
+        return poses.found_in(np.full(len(poses), area, dtype=np.intp), self._frames)
 
     @one_blas_thread()
     def likely_places(
-        self, photos: Sequence[tuple[Rays, Prior]], report: ReportProgress = silent
+        self, photos: Sequence[tuple[Rays, Prior]], report: StepProgress = silent
     ) -> tuple[Poses, AlikePlaces]:
         """Return what is known of all places; see `SearchMethod.likely_places`."""
         if len(photos) == 1:
@@ -246,14 +246,14 @@ class FullMatcher(SearchMethod):
         figures = confidence.pose_figures(poses, rays)
         near, roughly = confidence.probabilities(self.models, confidence.FITTED, figures)
         poses = replace(poses, confidence=near, confidence_1km=roughly)
-        return self._sited(start.area, poses)
+        return self._found_in(start.area, poses)
 
     @one_blas_thread()
     def search_together(
         self,
         photos: Sequence[tuple[Rays, Prior]],
         top: int,
-        report: ReportProgress = silent,
+        report: StepProgress = silent,
     ) -> tuple[list[Poses], BoolArray]:
         """Return the best common places of photos; see `SearchMethod.search_together`.
 
@@ -301,7 +301,7 @@ class FullMatcher(SearchMethod):
             raise InputError(BY_RENDERING)
         return scene
 
-    def _near_noted(self, rays: Rays, prior: Prior, report: ReportProgress) -> Poses | None:
+    def _near_noted(self, rays: Rays, prior: Prior, report: StepProgress) -> Poses | None:
         """Return the poses retrieved around the photo's noted place; None without one."""
         near_noted = prior.near_noted()
         if near_noted is None:

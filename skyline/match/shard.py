@@ -18,17 +18,9 @@ from skyline.match.fit import CurveFit, FitEffort
 from skyline.match.posterior import AlikePlaces
 from skyline.match.prior import Prior
 from skyline.match.rays import Rays, in_runs
-from skyline.match.screen import (
-    CHOSEN_AT_ONCE,
-    Alike,
-    ReportProgress,
-    Scores,
-    Screen,
-    rescored,
-    screen_places,
-    silent,
-)
+from skyline.match.screen import CHOSEN_AT_ONCE, Alike, Scores, Screen, rescored, screen_places
 from skyline.pose import Poses
+from skyline.progress import Step, StepProgress, silent
 from skyline.store.mapped_places import PlaceSource
 from skyline.store.places import Places
 from skyline.terrain.heightfield import Ground, ground_slope
@@ -44,17 +36,23 @@ class Starts(Rows):
     row: IntArray
     """(N,) intp. Row of the place."""
     score: Float32Array
-    heading_rad: Float64Array
+    """(N,) float32. Score of the place, as `Alike` has it."""
+    grid_heading_rad: Float64Array
+    """(N,) float64. From grid north."""
     log_scale: Float64Array
+    """(N,) float64. `Rays.log_scale` of the field of view."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Turns(Rows):
     """The best C turns of each of N places; see `Screen.best_turns`."""
 
-    heading_deg: Float64Array
+    grid_heading_deg: Float64Array
+    """(N, C) float64. From grid north."""
     fov: IntArray
-    peak: Float32Array
+    """(N, C) intp. Index of the field of view among those of the screen."""
+    score: Float32Array
+    """(N, C) float32. Score of the turn; -inf where there is none."""
 
 
 class Shard(Protocol):
@@ -72,7 +70,7 @@ class Shard(Protocol):
         priors: Sequence[Prior],
         count: int,
         least: float = -math.inf,
-        report: ReportProgress = silent,
+        report: StepProgress = silent,
     ) -> Alike:
         """Return the best ``count`` places for photos, whose scores are added.
 
@@ -81,7 +79,7 @@ class Shard(Protocol):
         """
 
     def alike_places(
-        self, screens: Sequence[Screen], priors: Sequence[Prior], report: ReportProgress = silent
+        self, screens: Sequence[Screen], priors: Sequence[Prior], report: StepProgress = silent
     ) -> AlikePlaces:
         """Return all places within all narrowings, with their scores for photos."""
 
@@ -92,7 +90,7 @@ class Shard(Protocol):
         """Return the best turns of places (M,)."""
 
     def fitted(
-        self, rays: Rays, starts: Starts, effort: FitEffort, report: ReportProgress = silent
+        self, rays: Rays, starts: Starts, effort: FitEffort, report: StepProgress = silent
     ) -> Poses:
         """Return the poses fitted from starts, in order."""
 
@@ -120,7 +118,7 @@ class LocalShard:
         priors: Sequence[Prior],
         count: int,
         least: float = -math.inf,
-        report: ReportProgress = silent,
+        report: StepProgress = silent,
     ) -> Alike:
         """See `Shard.screened`."""
 
@@ -132,7 +130,7 @@ class LocalShard:
         return found[found.score >= least]
 
     def alike_places(
-        self, screens: Sequence[Screen], priors: Sequence[Prior], report: ReportProgress = silent
+        self, screens: Sequence[Screen], priors: Sequence[Prior], report: StepProgress = silent
     ) -> AlikePlaces:
         """See `Shard.alike_places`."""
         alike = self.screened(screens, priors, len(self), report=report)
@@ -155,14 +153,14 @@ class LocalShard:
 
         def found(k: int) -> Turns:
             phase = self._places.phases(rows[k : k + CHOSEN_AT_ONCE])
-            heading_deg, fov, peak = screen.best_turns(phase, count)
-            return Turns(heading_deg=heading_deg, fov=fov, peak=peak)
+            grid_heading_deg, fov, score = screen.best_turns(phase, count)
+            return Turns(grid_heading_deg=grid_heading_deg, fov=fov, score=score)
 
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             return Turns.concatenate(list(pool.map(found, groups)))
 
     def fitted(
-        self, rays: Rays, starts: Starts, effort: FitEffort, report: ReportProgress = silent
+        self, rays: Rays, starts: Starts, effort: FitEffort, report: StepProgress = silent
     ) -> Poses:
         """See `Shard.fitted`."""
         means = in_runs(rays, effort.runs)
@@ -171,7 +169,7 @@ class LocalShard:
             part = starts[slice(first, first + _FITS_AT_ONCE)]
             places = self._places.take(part.row)
             fit = CurveFit(places, self._slope(places), means, effort)
-            poses = fit.fit(part.heading_rad, part.log_scale)
+            poses = fit.fit(part.grid_heading_rad, part.log_scale)
             # Both count: a fit compares more than screening does, but assumes that the photo was
             # taken near its place.
             return replace(poses, cost=poses.cost - part.score)
@@ -182,7 +180,7 @@ class LocalShard:
             try:
                 for poses in pool.map(fitted, parts):
                     found.append(poses)
-                    report("fitting", len(found) / len(parts))
+                    report(Step.FITTING, len(found) / len(parts))
             except BaseException:
                 # The report may end the match: fits that have not begun are dropped.
                 pool.shutdown(cancel_futures=True)

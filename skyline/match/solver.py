@@ -30,13 +30,13 @@ from skyline.match.likelihood import (
 from skyline.match.prior import EyeHeightPrior, PlacePrior
 from skyline.match.rays import Rays, thinned
 from skyline.pose import Poses
-from skyline.pose_errors import ASSUMED
+from skyline.pose_errors import ASSUMED, EAST, HEADING, LOG_SCALE, NORTH, PITCH, ROLL, UP, WARP
 from skyline.terrain.data_edge import DataEdge
 
-EAST, NORTH, EYE_HEIGHT, HEADING, PITCH, ROLL, LOG_SCALE, WARP = range(8)
-"""Columns of a state: displacement of the eye, metres; its height above the ground, metres; angles,
-radians; `Rays.log_scale` of the field of view. The columns from `WARP` on are the warps of the
-image, see `Rays.warp_sd`."""
+EYE_HEIGHT = UP
+"""Column of a state with the eye's height above the ground, metres. The other columns of a state
+are the unknowns of a pose, where `EAST` and `NORTH` are the eye's displacement, and the warps of
+the image are those of `Rays.warp_sd`."""
 
 ANGLES_DEG = np.array([0.03, 0.05, 0.08, 0.12, 0.2, 0.3, 0.5, 0.8])
 """Standard deviations of the photo's error from which the likeliest is chosen."""

@@ -4,11 +4,11 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-from skyline.arrays import Progress
 from skyline.errors import StoreMismatchError
 from skyline.geodesy.bounds import Bounds
 from skyline.paper.plan import CoveragePlan, PlanConfig, plan
 from skyline.paper.plan_check import Verification, verify_coverage
+from skyline.progress import Progress
 from skyline.render.horizon import HorizonRenderer, RenderConfig
 from skyline.store.layout import StoreHeader
 from skyline.store.merge import sorted_once

@@ -37,8 +37,8 @@ from skyline.arrays import Complex128Array, Float32Array, Float64Array, IntArray
 from skyline.match.method import SearchMethod
 from skyline.match.prior import Prior
 from skyline.match.rays import Rays, on_bins
-from skyline.match.screen import ReportProgress, silent
 from skyline.pose import Poses
+from skyline.progress import StepProgress, silent
 from skyline.render.horizon import RenderedScene
 from skyline.skylines import (
     DEFAULT_WIDTH,
@@ -200,7 +200,7 @@ class ProfileMatcher(SearchMethod):
         """Return the eyes of the profiles."""
         return self.profiles.eyes
 
-    def search(self, rays: Rays, prior: Prior, top: int, report: ReportProgress = silent) -> Poses:
+    def search(self, rays: Rays, prior: Prior, top: int, report: StepProgress = silent) -> Poses:
         """Return up to ``top`` poses, best first, at most one per location.
 
         Locations where nothing fits are left out. Between equal costs, the location that comes

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array, Progress, UInt8Array
+from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array
 from skyline.errors import InputError
 from skyline.geodesy.map_frame import Rectangle
 from skyline.paper.planners import PLANNERS, Coverage, Planner, Problem, Sites
@@ -24,6 +24,7 @@ from skyline.paper.tolerance_areas import (
     tolerance_errors_px,
 )
 from skyline.plugins import load
+from skyline.progress import Progress
 from skyline.skylines import HEADINGS, Views
 from skyline.survey.plans import lattice_m
 from skyline.terrain.heightfield import HeightField, ground_of

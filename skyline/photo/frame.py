@@ -33,16 +33,22 @@ class _Shapes:
 
 @dataclass(frozen=True, slots=True)
 class Crop:
-    """The field of view of a crop, over the greatest possible one.
+    """The field of view of a crop, over the greatest possible one."""
 
-    It is assumed to be distributed evenly from a half to 1.
-    """
-
-    mean: float = 0.75
-    sd: float = 0.5 / sqrt(12.0)
-    """Standard deviation of an even distribution with a width of a half."""
+    left: tuple[float, float] = (0.5, 1.0)
+    """Least and greatest share that is left; evenly distributed."""
     most: float = 1.05
     """Greatest share that is searched."""
+
+    @property
+    def mean(self) -> float:
+        """Mean of the share."""
+        return sum(self.left) / 2.0
+
+    @property
+    def sd(self) -> float:
+        """Standard deviation of the share."""
+        return (self.left[1] - self.left[0]) / sqrt(12.0)
 
 
 _SHAPES = _Shapes()

@@ -91,8 +91,6 @@ class CropShares:
     """For files that a program has written again."""
     edited: float = 0.3
     """For files that name an editor as their program, or that were changed later."""
-    left: tuple[float, float] = (0.5, 1.0)
-    """Range of the share of the width that a crop leaves; evenly distributed."""
     agreeing: float = 0.25
     """Factor if two sources agree: a camera's crop would be in only one of them."""
 

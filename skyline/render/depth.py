@@ -89,8 +89,8 @@ class DepthRenderer(Renderer):
         and the one that `raised_to_dip` sets.
         """
         eyes, headings = in_four_views(viewpoints)
-        tan, depth_m = np.empty((2, len(eyes), self.width), dtype=np.float32)
-        flags = np.zeros(tan.shape, dtype=np.uint8)
+        v, depth_m = np.empty((2, len(eyes), self.width), dtype=np.float32)
+        flags = np.zeros(v.shape, dtype=np.uint8)
         for index in range(len(viewpoints)):
             images = self.depth_images(viewpoints, index)
             # A pixel is covered when its centre is below the skyline, so the skyline lies between
@@ -100,11 +100,11 @@ class DepthRenderer(Renderer):
             is_seen = np.isfinite(depth)
             rows = slice(len(HEADINGS) * index, len(HEADINGS) * (index + 1))
             ordinate = np.float32(2.0) * (self.width - top).astype(np.float32) / self.width - 1.0
-            tan[rows] = np.where(is_seen, ordinate, np.nan)
+            v[rows] = np.where(is_seen, ordinate, np.nan)
             depth_m[rows] = np.where(is_seen, depth, np.nan)
             flags[rows] = np.where(top == 0, FLAG_OUT_OF_IMAGE, 0)
         position = eyes.easting_m, eyes.northing_m, eyes.eye_elevation_m
-        views = Views(*position, headings, tan, depth_m, flags)
+        views = Views(*position, headings, v, depth_m, flags)
         lowest_m = self.field.height_range_m[0]
         return raised_to_dip(views, columns_u(self.width), lowest_m, self.curvature)
 

@@ -69,7 +69,7 @@ class Eyes:
     """The eyes of N views, sorted by kind of march.
 
     ``turn_rad`` (N,) is the angle by which all columns of an eye are turned clockwise.
-    ``near_error_tan`` is the greatest error of v that rounding may make.
+    ``near_error_v`` is the greatest error of v that rounding may make.
     """
 
     def __init__(
@@ -77,12 +77,12 @@ class Eyes:
         field: HeightField,
         viewpoints: Viewpoints,
         heading: UInt8Array,
-        near_error_tan: float,
+        near_error_v: float,
         turn_rad: Float64Array,
     ) -> None:
         self._spacing_m = np.array([field.spacing_north_m, field.spacing_east_m])
         row, col = field.to_grid(easting_m=viewpoints.easting_m, northing_m=viewpoints.northing_m)
-        is_double = _needs_double(field, viewpoints, row, col, near_error_tan)
+        is_double = _needs_double(field, viewpoints, row, col, near_error_v)
         self._order = np.lexsort((is_double, heading))
         self._is_double = is_double[self._order]
         self._heading = heading[self._order]
@@ -180,11 +180,11 @@ def _needs_double(
     viewpoints: Viewpoints,
     row: Float64Array,
     col: Float64Array,
-    near_error_tan: float,
+    near_error_v: float,
 ) -> BoolArray:
     """Mark the eyes (N,) whose near edges need float64.
 
-    Near these eyes, float32 blurs v by more than ``near_error_tan``.
+    Near these eyes, float32 blurs v by more than ``near_error_v``.
 
     A crossing at depth z among heights up to H above or below the eye has v to within r H / z,
     where r is the relative rounding error of its height. An edge nearer than c / (G + 2 H / s) is
@@ -205,7 +205,7 @@ def _needs_double(
     clearance_m = viewpoints.eye_elevation_m - ground_m
     shows_from_m = clearance_m / (2.0 * (steepest_m + relief_m) / spacing_m + 1e-9)
     rounding = 3.0 * 2.0**-24
-    blurred_to_m = rounding * relief_m / near_error_tan
+    blurred_to_m = rounding * relief_m / near_error_v
     lines = np.stack([row, col, col - row])
     offset = np.abs(lines - np.rint(lines))
     # An eye exactly on a line does not cross it.
@@ -218,7 +218,7 @@ class ColumnRenderer(Renderer):
 
     The skylines are exact to float32.
 
-    ``u`` (W,) are the columns' abscissas, of magnitude at most 1. ``near_error_tan`` is the largest
+    ``u`` (W,) are the columns' abscissas, of magnitude at most 1. ``near_error_v`` is the largest
     rounding error of v near the eye; float64 is used where float32 exceeds it.
 
     Raises `InputError` if samples are much longer than wide, and `ContextError` if no OpenGL
@@ -231,7 +231,7 @@ class ColumnRenderer(Renderer):
         name: str,
         field: HeightField,
         u: Float64Array,
-        near_error_tan: float,
+        near_error_v: float,
         curvature: Curvature | None,
         limits: GpuLimits | None = None,
     ) -> None:
@@ -242,7 +242,7 @@ class ColumnRenderer(Renderer):
         self._limits = limits or GpuLimits()
         self._u = u
         self._widest_u = float(np.abs(u).max())
-        self._near_error_tan = near_error_tan
+        self._near_error_v = near_error_v
         self._spacing_m = east, north = field.spacing_east_m, field.spacing_north_m
         if max(east, north) > MAX_SPACING_RATIO * min(east, north):
             raise InputError(
@@ -299,7 +299,7 @@ class ColumnRenderer(Renderer):
         return raised_to_dip(views, u, self.field.height_range_m[0], self.curvature)
 
     def _batch(self, viewpoints: Viewpoints, heading: UInt8Array, turn_rad: Float64Array) -> Views:
-        eyes = Eyes(self.field, viewpoints, heading, self._near_error_tan, turn_rad)
+        eyes = Eyes(self.field, viewpoints, heading, self._near_error_v, turn_rad)
         self._reserve(len(eyes))
         home = eyes.nearest_of(self._windows)
         for index in np.unique(home):
@@ -311,18 +311,18 @@ class ColumnRenderer(Renderer):
                 # The field may know no more than a bound of its heights; the window knows them.
                 self._load(window)
                 self._march(window, eyes, seen & self._may_rise(window, eyes), is_first=False)
-        tan, depth, flags = (
+        v, depth, flags = (
             eyes.in_order(self._read(index, len(eyes), kind))
             for index, kind in enumerate(("<f4", "<f4", "<u4"))
         )
-        missing = tan == _NOTHING
+        missing = v == _NOTHING
         nan = np.float32(np.nan)
         return Views(
             viewpoints.easting_m,
             viewpoints.northing_m,
             viewpoints.eye_elevation_m,
             heading,
-            np.where(missing, nan, tan),
+            np.where(missing, nan, v),
             np.where(missing, nan, depth),
             flags.astype(np.uint8) | np.where(missing, np.uint8(FLAG_NO_DATA), np.uint8(0)),
         )

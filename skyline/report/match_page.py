@@ -11,7 +11,8 @@ from pathlib import Path
 from skyline.arrays import UInt8Array
 from skyline.errors import InputError, OffMapError
 from skyline.files import REPORT_PAGE, write_with_folders
-from skyline.match.matcher import Matcher, terrain_at_hand
+from skyline.match.areas import terrain_at_hand
+from skyline.match.matcher import Matcher
 from skyline.match.result import MatchResult, listed
 from skyline.peaks import Peaks, Sighting
 from skyline.photo.read import read_picture

@@ -214,7 +214,8 @@ class _Row:
         names_in = 0.0
         for label in labels:
             one = label.peak
-            azimuth = ends[0] + (one.azimuth_deg + view.landscape.convergence_deg - ends[0]) % 360.0
+            true_deg = one.grid_azimuth_deg + view.landscape.convergence_deg
+            azimuth = ends[0] + (true_deg - ends[0]) % 360.0
             summit_deg = float(np.degrees(np.arctan(one.elevation_tan)))
             if azimuth < ends[1] and summit_deg > low_deg:
                 # The upright name is as high as the text is long.

@@ -106,7 +106,7 @@ def panorama_view(
     inside = [
         one
         for one in seen
-        if (one.azimuth_deg + landscape.convergence_deg - start_deg) % 360.0 < fov_deg
+        if (one.grid_azimuth_deg + landscape.convergence_deg - start_deg) % 360.0 < fov_deg
     ]
     surface_deg = None
     if surface is not None:

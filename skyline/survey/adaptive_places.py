@@ -73,8 +73,8 @@ NODES_AROUND = (_NESTING.roots + 2) ** 2 - _NESTING.roots**2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sights(Rows):
-    """What a plan sees at N viewpoints."""
+class BegunPlaces(Rows):
+    """N places of an unfinished plan, as a store of `BEGUN` rows has them."""
 
     places: Places
     """The places, whose tolerances are not set yet."""
@@ -82,13 +82,13 @@ class Sights(Rows):
     """Shares (N, LEVELS) of the views round each place that each spacing is expected to lose."""
 
     @classmethod
-    def of(cls, horizons: Horizons) -> "Sights":
-        """Return the sights of rendered skylines in 360 bins."""
+    def of(cls, horizons: Horizons) -> "BegunPlaces":
+        """Return the begun places of rendered skylines in 360 bins."""
         return cls(Places.of(horizons, 0.0), lost_shares(horizons.distance_m, _SPACING_M))
 
 
-SightsOf = Callable[[Viewpoints], Sights]
-"""Renders viewpoints, and returns what a plan sees there."""
+RenderBegun = Callable[[Viewpoints], BegunPlaces]
+"""Renders viewpoints, and returns their places."""
 
 
 def blocks_of(area: Rectangle) -> list[tuple[int, int]]:
@@ -110,9 +110,9 @@ class Prices:
     area of holes.
     """
 
-    def __init__(self, terrain: HeightField, area: Rectangle, look: SightsOf) -> None:
+    def __init__(self, terrain: HeightField, area: Rectangle, render: RenderBegun) -> None:
         eyes, self._surface_m2 = spread_over(terrain, area)
-        self._lost = look(eyes).lost
+        self._lost = render(eyes).lost
 
     def of_loss(self, loss: float) -> float:
         """Return the highest price at which at most this share is lost.
@@ -177,13 +177,13 @@ def spread_over(terrain: HeightField, area: Rectangle) -> tuple[Viewpoints, floa
 
 
 def planned_places(
-    terrain: HeightField, look: SightsOf, area: Rectangle, price: float, block: tuple[int, int]
+    terrain: HeightField, render: RenderBegun, area: Rectangle, price: float, block: tuple[int, int]
 ) -> Places:
     """Lay out and render a block's places, by rows from the north-west.
 
     ``price`` is computed by `Prices`; places outside the area are not kept.
     """
-    seen = _Seen(terrain, look, block)
+    seen = _Seen(terrain, render, block)
     # Nodes around the block are included, for the squares at its sides.
     seen.fill(_lattice_of_roots(-1, _NESTING.roots + 2))
     nodes = _lattice_of_roots(0, _NESTING.roots)
@@ -227,9 +227,9 @@ class _Seen:
     Nodes are columns and rows of the finest lattice, from the block's south-western corner.
     """
 
-    def __init__(self, terrain: HeightField, look: SightsOf, block: tuple[int, int]) -> None:
+    def __init__(self, terrain: HeightField, render: RenderBegun, block: tuple[int, int]) -> None:
         self._terrain = terrain
-        self._look = look
+        self._render = render
         self._corner_m = np.array(block) * BLOCK_M
         self._row: Int64Array = np.full(2 * ((_NESTING.roots + 2) * _UNITS,), _UNTRIED)
         self._lost: Float64Array = np.zeros((0, LEVELS))
@@ -246,7 +246,7 @@ class _Seen:
         eyes, stands = stand_where_possible(self._terrain, *self.position_m(nodes))
         self._row[_index(nodes)] = _BARE
         self._row[_index(nodes[stands])] = len(self._lost) + np.arange(len(eyes))
-        seen = self._look(eyes)
+        seen = self._render(eyes)
         self.places.append(seen.places)
         self._lost = np.concatenate([self._lost, seen.lost])
 

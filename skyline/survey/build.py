@@ -23,10 +23,10 @@ from pathlib import Path
 from typing import Any
 from uuid import uuid4
 
-from skyline.arrays import Progress
 from skyline.errors import BuildError, InputError, SkylineError, StoreError, StoreMismatchError
 from skyline.geodesy.bounds import Bounds
 from skyline.geodesy.earth import Curvature
+from skyline.progress import Progress
 from skyline.render.horizon import RenderConfig
 from skyline.store.check import is_whole
 from skyline.store.layout import BEGUN, PLACES, StoreHeader, attributes_digest, refuse_mismatch

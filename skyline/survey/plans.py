@@ -22,8 +22,8 @@ from skyline.store.places import BINS, Places
 from skyline.survey.adaptive_places import (
     LEVELS,
     NODES_AROUND,
+    BegunPlaces,
     Prices,
-    Sights,
     blocks_of,
     planned_places,
 )
@@ -149,7 +149,7 @@ class PlacePlan:
     ) -> JobRenderer:
         """Return a renderer of blocks, whose price is computed first."""
         area = map_bounds(terrain, self.bounds_deg)
-        prices = Prices(terrain, area, lambda eyes: Sights.of(renderer.render(eyes)))
+        prices = Prices(terrain, area, lambda eyes: BegunPlaces.of(renderer.render(eyes)))
         price = prices.of_number(self.places or DEFAULT_PLACES)
         if self.places is None:
             densest, sparsest = map(prices.of_loss, DEFAULT_LOSSES)
@@ -157,16 +157,16 @@ class PlacePlan:
         begun = replace(header, holds=BEGUN, width=LEVELS)
 
         def look(eyes: Viewpoints) -> Columns:
-            sights = Sights.of(renderer.render(eyes))
-            return {**columns_of(begun, sights.places), LOST: sights.lost}
+            seen = BegunPlaces.of(renderer.render(eyes))
+            return {**columns_of(begun, seen.places), LOST: seen.lost}
 
         def rows(block: tuple[int, int], look: Look) -> Columns:
-            def sights(eyes: Viewpoints) -> Sights:
+            def render(eyes: Viewpoints) -> BegunPlaces:
                 columns = look(eyes)
                 fields: Any = {field: columns[name] for field, name in begun.fields.items()}
-                return Sights(Places(**fields), columns[LOST])
+                return BegunPlaces(Places(**fields), columns[LOST])
 
-            return columns_of(header, planned_places(terrain, sights, area, price, block))
+            return columns_of(header, planned_places(terrain, render, area, price, block))
 
         expected = prices.places(price) + NODES_AROUND * len(blocks_of(area))
         return JobRenderer(renderer, header, look, begun, at_once, rows, expected)

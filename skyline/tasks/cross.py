@@ -10,7 +10,7 @@ from skyline.crossing import Crossing, Ray, cross
 from skyline.errors import InputError
 from skyline.pose_file import read_posed
 from skyline.tasks.listener import Listener
-from skyline.tasks.standing import shown_pose
+from skyline.tasks.standing import joined_assumptions, shown_pose
 from skyline.tasks.terrain import read_terrain
 from skyline.terrain.heightfield import HeightField
 from skyline.view import Viewer
@@ -76,8 +76,8 @@ def cross_photos(task: CrossTask, listener: Listener) -> Crossed:
             for photo, pose, pixel in zip(task.photos, task.poses, task.pixels, strict=True)
         ]
     found = cross(rays, viewer.curvature)
-    assumed = dict.fromkeys(ray.pose.assumed(ray.photo) for ray in rays)
-    return _on_map(found, terrain, "; ".join(filter(None, assumed)))
+    assumed = joined_assumptions(ray.pose.assumed(ray.photo) for ray in rays)
+    return _on_map(found, terrain, assumed)
 
 
 def _ray(photo: Path, pose: Path, pixel: Pixel, viewer: Viewer, listener: Listener) -> Ray:

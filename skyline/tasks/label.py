@@ -11,12 +11,13 @@ from skyline.arrays import UInt8Array
 from skyline.camera import Projection
 from skyline.errors import InputError, some_of, suffix_of
 from skyline.files import check_outputs, write_whole
-from skyline.orientation import orienters
+from skyline.noted_pose import NotedPose
+from skyline.orienter import orienters
 from skyline.peaks import read_peaks
 from skyline.photo.photo import read_photo
 from skyline.photo.read import find_skyline
 from skyline.photo.skyline import PhotoSkyline
-from skyline.pose import NotedPose, Pose
+from skyline.pose import Pose
 from skyline.pose_file import read_posed
 from skyline.sun import Body, Sky
 from skyline.tasks.listener import Listener
@@ -97,7 +98,7 @@ def label_photo(task: LabelTask, listener: Listener) -> list[str]:
     else:
         picture = read_photo(task.photo, task.fov_deg, projection=task.projection)
         photo = find_skyline(picture)
-        task.at.place_of(photo, str(task.photo))  # Refused before the DEM is read
+        task.at.position_of(photo, str(task.photo))  # Refused before the DEM is read
     terrain = read_terrain(listener, task.dem, task.crs)
     gazetteer = None if task.peaks is None else read_peaks(task.peaks, terrain.frame)
     with Viewer(terrain, gazetteer) as viewer:
@@ -141,7 +142,7 @@ def _camera_of(
     if noted is not None:
         return _HeldCamera(shown_pose(noted, viewer, listener))
     with listener.slow("orienting the camera"), orienters(viewer.terrain) as orienter_at:
-        orienter = orienter_at(task.at.place_of(photo, str(task.photo)))
+        orienter = orienter_at(task.at.position_of(photo, str(task.photo)))
         found = orienter.orient(photo, name=str(task.photo), heading_deg=task.at.heading_deg)
     if found.likely is None:
         raise InputError(

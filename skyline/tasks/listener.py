@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from typing import Any, Protocol
 
-from skyline.arrays import Progress
+from skyline.progress import Progress
 
 
 class Listener(Protocol):

@@ -6,7 +6,7 @@ it has a file of results.
 
 import math
 import time
-from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
 from datetime import datetime
@@ -14,8 +14,7 @@ from itertools import takewhile
 from pathlib import Path
 from typing import TypeVar
 
-from skyline.arrays import Progress
-from skyline.batch import Entry, match_here, match_many
+from skyline.batch import Entry, MatcherFiles, match_here, match_many
 from skyline.cache import store_of
 from skyline.errors import (
     InputError,
@@ -27,16 +26,18 @@ from skyline.errors import (
 )
 from skyline.files import GEOJSON, STANDARD, check_outputs, digest_of, read_bytes, version_of
 from skyline.match.config import MatchConfig
+from skyline.match.distant_shards import distant_shards, opening_of
+from skyline.match.joint_result import JointResult
 from skyline.match.matcher import FULL, Matcher
 from skyline.match.method import MATCHERS
 from skyline.match.posterior import Posterior
-from skyline.match.result import JointResult, MatchResult
-from skyline.match.spread import distant_shards, opening_of
+from skyline.match.result import MatchResult
 from skyline.match.walk import check_times
 from skyline.peaks import Peaks, read_peaks
 from skyline.photo.image import EXPECTED
 from skyline.photo.skyline import PhotoSkyline
 from skyline.plugins import names_of
+from skyline.progress import Progress
 from skyline.report.exports import EXPORTS, export_matches
 from skyline.report.folder import check_report_folder
 from skyline.report.geotiff import GEOTIFFS
@@ -105,15 +106,14 @@ class MatchTask:
         return [*self.exports, *self.probability, *filter(None, [self.report])]
 
     @property
-    def opening(self) -> tuple[Hashable, ...]:
-        """The arguments of `Matcher`."""
+    def files(self) -> MatcherFiles:
+        """The files and the settings of the matcher."""
         # Workers may have another working directory.
-        tiles = dem_names(self.dem) or None
         name = FULL if self.matcher == UNREFINED else self.matcher
         config = MatchConfig(refine=self.matcher != UNREFINED)
-        return self.stores, tiles, name, config, None, dem_names(self.surface) or None
+        return MatcherFiles(self.stores, dem_names(self.dem), dem_names(self.surface), name, config)
 
-    def search(self) -> str:
+    def search_digest(self) -> str:
         """Return a digest of the stores and the options.
 
         It differs between searches that may give different answers.
@@ -223,9 +223,8 @@ def match_photos(task: MatchTask, listener: Listener) -> int:
     error of a photo is shown, and does not stop the others.
     """
     task.check()
-    with (
-        nullcontext() if task.results is None else ResultsFile(task.results, task.search()) as file
-    ):
+    kept = nullcontext()
+    with kept if task.results is None else ResultsFile(task.results, task.search_digest()) as file:
         run = _Run(task, listener, file)
         with suppress(BrokenPipeError):
             run.match()
@@ -288,7 +287,7 @@ class _Run:
                     # A worker has its next part at hand when it is done with one.
                     matcher.search_by(shards, 2 * runner.workers)
                 elif runner is not None:
-                    each = match_many(runner, task.opening, usable)
+                    each = match_many(runner, task.files, usable)
                 found = self._show_each(known, refused, each, progress)
         if found:
             self._write(found, matcher, gazetteer, done)
@@ -370,7 +369,7 @@ class _Run:
         with self._listener.slow(
             f"opening {', '.join(map(str, task.stores))} and its elevation model"
         ):
-            matcher = Matcher(*task.opening)  # type: ignore[arg-type]
+            matcher = task.files.open()
         self._loading_s = time.perf_counter() - started
         if task.report is not None:
             matcher.only_area()

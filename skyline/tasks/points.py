@@ -71,7 +71,7 @@ def orient_by_points(task: PointsTask, listener: Listener) -> PointsFit:
                 "the output of `match --json` or `orient --json`, or its position with --at"
             )
     else:
-        task.at.place_of(photo, str(task.photo))  # Refused before the DEM is read
+        task.at.position_of(photo, str(task.photo))  # Refused before the DEM is read
     terrain = read_terrain(listener, task.dem, task.crs)
     with Viewer(terrain) as viewer:
         if noted is not None:
@@ -86,7 +86,7 @@ def orient_by_points(task: PointsTask, listener: Listener) -> PointsFit:
 
 def _standing(task: PointsTask, viewer: Viewer, photo: PhotoSkyline) -> KnownCamera:
     """Return the camera at the given place, or the photo's own."""
-    place = task.at.place_of(photo, str(task.photo))
+    place = task.at.position_of(photo, str(task.photo))
     if not place.position_sd_m > 0.0:
         raise InputError(
             f"the standard deviation of the position is {place.position_sd_m:g} m; expected above 0"

@@ -5,13 +5,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from skyline.arrays import Progress
 from skyline.errors import InputError, suffix_of
 from skyline.files import check_folder, lies_in_any
 from skyline.geodesy.bounds import Bounds
 from skyline.paper.build import build_planned
 from skyline.paper.plan import CoveragePlan, PlanConfig
 from skyline.paper.plan_check import Verification
+from skyline.progress import Progress
 from skyline.render.horizon import RenderConfig
 from skyline.store.read import open_store, parts_folder
 from skyline.store.write import check_store_path

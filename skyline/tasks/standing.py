@@ -4,7 +4,7 @@ The notes say where the eyes stand, what they cannot see, and what was assumed.
 """
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,7 +16,8 @@ from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints, stand_at
 
 if TYPE_CHECKING:
-    from skyline.pose import NotedPose, Pose
+    from skyline.noted_pose import NotedPose
+    from skyline.pose import Pose
     from skyline.view import Viewer
 
 _log = logging.getLogger(__name__)
@@ -68,9 +69,14 @@ def shown_pose(noted: "NotedPose", viewer: "Viewer", listener: Listener) -> "Pos
     return pose
 
 
+def joined_assumptions(assumed: Iterable[str]) -> str:
+    """Return errors that `Pose.assumed` names, each once."""
+    return "; ".join(dict.fromkeys(filter(None, assumed)))
+
+
 def assumed_lines(*assumed: str) -> list[str]:
     """Return a line on errors that `Pose.assumed` names, if any."""
-    words = "; ".join(dict.fromkeys(filter(None, assumed)))
+    words = joined_assumptions(assumed)
     return [f"errors assumed, since no covariance is given: {words}"] if words else []
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from skyline.errors import InputError
 from skyline.files import lies_in_any
 from skyline.geodesy.earth import Curvature
+from skyline.progress import Step
 from skyline.tasks.listener import Listener
 from skyline.terrain.dem import read_dem
 from skyline.terrain.heightfield import HeightField
@@ -18,7 +19,7 @@ def read_terrain(listener: Listener, dem: Sequence[str], crs: str | None) -> Hei
 
     ``crs`` is of files that name none. If reading takes long, a note names the step.
     """
-    with listener.slow("reading the elevation model"):
+    with listener.slow(Step.READING):
         return read_dem(dem, DemOptions(crs=crs))
 
 

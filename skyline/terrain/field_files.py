@@ -42,7 +42,7 @@ from skyline.terrain.lazy_heights import (
     bounds_of,
     checksum,
 )
-from skyline.terrain.metric_dem import MetricDem, Source
+from skyline.terrain.metric_dem import MetricDem, WarpSource
 from skyline.terrain.provenance import Provenance
 from skyline.terrain.resampling import Warp
 
@@ -285,7 +285,7 @@ def _no_block(path: Path, rows: slice, cols: slice) -> Float32Array:
     raise _removed(path)
 
 
-def _source_of(path: Path, about: Mapping[str, Any], heights_m: Float32Array) -> Source:
+def _source_of(path: Path, about: Mapping[str, Any], heights_m: Float32Array) -> WarpSource:
     """Return the source in a file.
 
     A file that is damaged is removed, and `InputError` raised.
@@ -299,4 +299,4 @@ def _source_of(path: Path, about: Mapping[str, Any], heights_m: Float32Array) ->
         Frame(about["frame"]),
         source["spacing_m"],
     )
-    return Source(heights_m.view(np.ndarray), warp)
+    return WarpSource(heights_m.view(np.ndarray), warp)

@@ -29,7 +29,7 @@ _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
-class Source:
+class WarpSource:
     """Repaired samples on their files' grid, and a metric grid's warp."""
 
     heights_m: Float32Array
@@ -60,7 +60,7 @@ class MetricDem:
     grid: Grid
     frame: Frame
     provenance: Provenance
-    source: Source | None = None
+    source: WarpSource | None = None
     """The source of lazy heights; None where the heights need no warp."""
 
 
@@ -92,7 +92,7 @@ def metric_dem(mosaic: "Mosaic", options: DemOptions) -> MetricDem:
             f"{ground_spacing[1]:.2f} m at the centre) to {spacing_m:g} m in the local conformal "
             "frame"
         )
-        source = Source(heights_m, Warp(grid, crs, frame, spacing_m))
+        source = WarpSource(heights_m, Warp(grid, crs, frame, spacing_m))
     provenance = Provenance(
         files=mosaic.files,
         resampling=resampling,

@@ -9,8 +9,9 @@ over its horizontal distance; the terrain drops with the square of the distance 
 
 import numpy as np
 
-from skyline.arrays import BoolArray, Float64Array, Int64Array, Progress
+from skyline.arrays import BoolArray, Float64Array, Int64Array
 from skyline.geodesy.earth import Curvature
+from skyline.progress import Progress
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 

@@ -18,8 +18,8 @@ from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket
 
 from skyline import InputError, Matcher, Projection, SkylineError, read_trace
+from skyline.web.area import shown_name
 from skyline.web.engine import Engine
-from skyline.web.ground import shown_name
 from skyline.web.live import LiveChannel
 from skyline.web.messages import (
     known_of,
@@ -29,7 +29,7 @@ from skyline.web.messages import (
     skyline_of,
     strokes_of,
 )
-from skyline.web.photos import Match, PagePhoto, version_of
+from skyline.web.photos import Match, PagePhoto, skyline_digest
 from skyline.web.saving import KINDS, chosen_of, saved, trace_of
 from skyline.web.sessions import MAX_SESSION_BYTES, MAX_UPLOAD_BYTES, GoneError, Session, Sessions
 
@@ -68,8 +68,8 @@ class PageApp:
         routes = [
             Route("/", _page),
             Route("/state", self._state),
-            Route("/relief/{ground}/{zoom:int}/{x:int}/{y:int}.png", self._relief),
-            Route("/names/{ground}", self._names),
+            Route("/relief/{area}/{zoom:int}/{x:int}/{y:int}.png", self._relief),
+            Route("/names/{area}", self._names),
             Route("/session", self._begin, methods=["POST"]),
             Route("/session/{session}", self._all),
             WebSocketRoute("/session/{session}/live", self._live),
@@ -108,18 +108,18 @@ class PageApp:
 
     async def _relief(self, request: Request) -> Response:
         at = (request.path_params[name] for name in ("zoom", "x", "y"))
-        ground = self._engine.grounds.get(request.path_params["ground"])
-        if ground is None or ground.relief is None:
+        area = self._engine.areas.get(request.path_params["area"])
+        if area is None or area.relief is None:
             return Response(status_code=404)
         try:
-            tile = await self._engine.work("live", ground.relief.png, *at)
+            tile = await self._engine.work("live", area.relief.png, *at)
         except InputError:
             return Response(status_code=404)
         return Response(tile, media_type="image/png", headers={"Cache-Control": "max-age=3600"})
 
     async def _names(self, request: Request) -> Response:
-        ground = self._engine.grounds.get(request.path_params["ground"])
-        return JSONResponse([] if ground is None else ground.names)
+        area = self._engine.areas.get(request.path_params["area"])
+        return JSONResponse([] if area is None else area.names)
 
     async def _begin(self, _: Request) -> Response:
         session = self._sessions.begin()
@@ -162,9 +162,7 @@ class PageApp:
         try:
             await self._engine.work("photos", write, path)
             async with session.adding:
-                photo = await self._engine.work(
-                    "photos", PagePhoto, path, name, self._engine.ground
-                )
+                photo = await self._engine.work("photos", PagePhoto, path, name, self._engine.area)
                 session.photos[photo.id] = photo
         except BaseException:
             path.unlink(missing_ok=True)
@@ -231,19 +229,19 @@ class PageApp:
         return JSONResponse(await self._engine.work("matches", self._fitted, photo, asked))
 
     def _fitted(self, photo: PagePhoto, asked: Mapping[str, Any]) -> dict[str, Any]:
-        skyline, ground = photo.skyline, photo.ground
-        start = pose_of(asked.get("pose"), skyline, ground.viewer)
+        skyline, area = photo.skyline, photo.area
+        start = pose_of(asked.get("pose"), skyline, area.viewer)
         known = known_of(asked)
         searched = photo.result_of(known)
         if searched is None:
-            found = ground.matcher.fit(skyline_of(known, skyline), start, narrowing_of(known))
+            found = area.matcher.fit(skyline_of(known, skyline), start, narrowing_of(known))
         else:
-            found = ground.matcher.fit(searched, start)
+            found = area.matcher.fit(searched, start)
         if not found.candidates:
             raise InputError(f"{found.refusal}; bring the two skylines closer by hand")
         with photo.lock:
             photo.fitted = found if photo.skyline is skyline else None
-        return outcome_json(found, ground)
+        return outcome_json(found, area)
 
     async def _save(self, request: Request) -> Response:
         session = self._session(request)
@@ -264,7 +262,7 @@ class PageApp:
 
 
 def _lines(photo: PagePhoto) -> Response:
-    headers = {"ETag": f'"{version_of(photo.skyline)}"'}
+    headers = {"ETag": f'"{skyline_digest(photo.skyline)}"'}
     lacks = Matcher.too_little(photo.skyline)
     if lacks is not None:
         headers["Skyline-Lacks"] = lacks

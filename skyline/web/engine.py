@@ -1,4 +1,4 @@
-"""The engine that all sessions share: grounds, renderer and threads."""
+"""The engine that all sessions share: areas, renderer and threads."""
 
 import asyncio
 import threading
@@ -12,27 +12,25 @@ from typing import Any, TypeVar
 from skyline import Narrowing, RenderThread, SkylineError
 from skyline.cache import prepare_area
 from skyline.location import area_of
-from skyline.web.ground import Ground, shown_name
+from skyline.progress import Progress, Step, StepProgress
+from skyline.web.area import PageArea, shown_name
 
 T = TypeVar("T")
-
-ReportProgress = Callable[[str, float], None]
-"""Called with the name of a step, and its finished share."""
 
 _WORKERS = {"photos": 2, "strokes": 2, "matches": 3, "live": 4, "files": 1}
 """Number of threads of each kind of work; no kind waits for another."""
 
 
 class Engine:
-    """Grounds for many sessions: the given one, or the photos' areas.
+    """Areas for many sessions: the given one, or those of the photos.
 
     Raises `SkylineError` if the stores, their DEM or the gazetteer cannot be used.
 
     Parameters
     ----------
     stores : sequence of Path
-        Stores of one DEM, searched as one. Without any, the ground of each photo is its area in the
-        cache, which is made when its place is first searched.
+        Stores of one DEM, searched as one. Without any, the area of each photo is in the cache,
+        and is made when its place is first searched.
     dem : list of str, optional
         Files of the stores' DEM, if they have moved; without stores, the elevation of the areas,
         which by default is fetched.
@@ -53,12 +51,12 @@ class Engine:
         self.thread = RenderThread()
         self._dem = dem
         self._peaks = peaks
-        self.ground = None
-        self.grounds: dict[str, Ground] = {}
+        self.area = None
+        self.areas: dict[str, PageArea] = {}
         self._making = threading.Lock()
         if stores:
             try:
-                self.ground = self._opened(stores, dem)
+                self.area = self._opened(stores, dem)
             except SkylineError:
                 self.thread.close()
                 raise
@@ -75,41 +73,41 @@ class Engine:
     def about(self) -> dict[str, Any]:
         """Return facts about the stores and photos that the command names."""
         return {
-            "ground": self.ground and self.ground.about,
+            "area": self.area and self.area.about,
             "given": [shown_name(path.name) for path in self.photos],
         }
 
-    def ground_for(self, photo: Path, narrowing: Narrowing, report: ReportProgress) -> Ground:
-        """Return the ground in which a photo is searched.
+    def area_for(self, photo: Path, narrowing: Narrowing, report: StepProgress) -> PageArea:
+        """Return the area in which a photo is searched.
 
         It is the area of the narrowing, or else of the photo's own position, made if it is missing.
         Raises as `skyline.locate`, and what ``report`` raises.
         """
-        if self.ground is not None:
-            return self.ground
-        area, _ = area_of([photo], narrowing)
+        if self.area is not None:
+            return self.area
+        box, _ = area_of([photo], narrowing)
 
         @contextmanager
-        def bar(step: str) -> Iterator[Callable[[int, int], None]]:
+        def bar(step: Step) -> Iterator[Progress]:
             report(step, 0.0)
             yield lambda done, total: report(step, done / max(1, total))
 
         with self._making:
-            make = partial(prepare_area, area, self._dem or (), bar=bar)
+            make = partial(prepare_area, box, self._dem or (), bar=bar)
             ready = self.thread.run(make)
             return self._opened([ready.store], [str(ready.terrain)])
 
-    def _opened(self, stores: Sequence[Path], dem: list[str] | None) -> Ground:
-        """Return the ground of stores, opened only once."""
-        named = {str(one.stores): one for one in self.grounds.values()}
-        ground = named.get(str(stores)) or Ground(stores, dem, self._peaks, self.thread)
-        self.grounds[ground.id] = ground
-        return ground
+    def _opened(self, stores: Sequence[Path], dem: list[str] | None) -> PageArea:
+        """Return the area of stores, opened only once."""
+        named = {str(one.stores): one for one in self.areas.values()}
+        area = named.get(str(stores)) or PageArea(stores, dem, self._peaks, self.thread)
+        self.areas[area.id] = area
+        return area
 
     def close(self) -> None:
         """End all work, close the stores and release the renderer."""
         for pool in self._pools.values():
             pool.shutdown(cancel_futures=True)
-        for ground in self.grounds.values():
-            ground.close()
+        for area in self.areas.values():
+            area.close()
         self.thread.close()

@@ -95,9 +95,9 @@ class LiveChannel:
         same = {"type": asked["type"], "seq": asked.get("seq")}
         try:
             if asked["type"] == "height":
-                ground = self._engine.grounds.get(str(asked.get("ground")))
+                area = self._engine.areas.get(str(asked.get("area")))
                 at = number(asked, "lon"), number(asked, "lat")
-                height_m = None if ground is None else ground.height_m(*at)
+                height_m = None if area is None else area.height_m(*at)
                 return {**same, "height_m": height_m}
             return {**same, **self._looked(asked)}
         except SkylineError as error:
@@ -109,7 +109,7 @@ class LiveChannel:
         The gaps lie between this skyline and the photo's.
         """
         photo = self._session.photo(str(asked.get("photo")))
-        viewer = photo.ground.viewer
+        viewer = photo.area.viewer
         pose = pose_of(asked.get("pose"), photo.skyline, viewer)
         sight = viewer.look(pose, photo.skyline)
         seen: dict[str, Any] = {

@@ -23,7 +23,7 @@ from skyline import (
     StrokeKind,
     Viewer,
 )
-from skyline.web.ground import Ground
+from skyline.web.area import PageArea
 
 _RANGES = {
     "lon": (-180.0, 180.0), "lat": (-90.0, 90.0), "fov_deg": (1.0, 360.0),
@@ -95,11 +95,11 @@ def pose_of(asked: Any, photo: PhotoSkyline, viewer: Viewer) -> Pose:
     return viewer.pose_of(NotedPose.from_dict(asked, photo.projection, "the request"))[0]
 
 
-def outcome_json(result: MatchResult, ground: Ground) -> dict[str, Any]:
+def outcome_json(result: MatchResult, area: PageArea) -> dict[str, Any]:
     """Return the candidates and the verdict of a search or fit."""
     lens = "" if result.skyline.lens is None else result.skyline.lens.in_words
     return {
-        "candidates": [_candidate_json(one, ground) for one in result.candidates],
+        "candidates": [_candidate_json(one, area) for one in result.candidates],
         "answered": result.answer is not None,
         "within_m": result.within_m,
         "confidence": result.confidence,
@@ -109,13 +109,13 @@ def outcome_json(result: MatchResult, ground: Ground) -> dict[str, Any]:
     }
 
 
-def _candidate_json(candidate: Pose, ground: Ground) -> dict[str, Any]:
+def _candidate_json(candidate: Pose, area: PageArea) -> dict[str, Any]:
     """Return a candidate's pose, and what the page shows with it."""
     return {
         "pose": candidate.to_dict(),
         "rank": candidate.rank,
-        "eye_height_m": ground.eye_height_m(candidate),
-        "ellipse": _ellipse_json(candidate, ground.matcher.frame),
+        "eye_height_m": area.eye_height_m(candidate),
+        "ellipse": _ellipse_json(candidate, area.matcher.frame),
         "residual": candidate.residual_in_words,
     }
 

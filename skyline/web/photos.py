@@ -27,20 +27,25 @@ from skyline import (
     read_photo,
 )
 from skyline.location import area_of
+from skyline.progress import Step
+from skyline.web.area import PageArea, shown_name
 from skyline.web.engine import Engine
-from skyline.web.ground import Ground, shown_name
 from skyline.web.messages import outcome_json
 
 _SHOWN_PX = 6000
 """Longest side of the picture sent to the page."""
 _IN_MEMORY = 4
 """Number of photos whose pixels and evidence stay in memory."""
-_STEPS = {"screening": (0.0, 0.25), "fitting": (0.25, 0.5), "refining": (0.5, 1.0)}
+_STEPS: Mapping[str, tuple[float, float]] = {
+    Step.SCREENING: (0.0, 0.25),
+    Step.FITTING: (0.25, 0.5),
+    Step.REFINING: (0.5, 1.0),
+}
 """Beginning and end of each step of a match, as shares of the whole."""
-_MAKING = {
-    "fetching tiles": (0.0, 0.3),
-    "reading the elevation model": (0.3, 0.35),
-    "building the store": (0.35, 0.85),
+_MAKING: Mapping[str, tuple[float, float]] = {
+    Step.FETCHING: (0.0, 0.3),
+    Step.READING: (0.3, 0.35),
+    Step.BUILDING: (0.35, 0.85),
 }
 """Beginning and end of each step in which an area is made, as shares of these steps and the
 match."""
@@ -50,11 +55,11 @@ class PagePhoto:
     """A photo on the page, with its skyline, strokes and results.
 
     Its file at ``path`` is the session's own, and never changes; ``name`` is the user's name for
-    it. ``ground`` is None until the place is searched, unless the command names stores. Raises
+    it. ``area`` is None until the place is searched, unless the command names stores. Raises
     `InputError` if the file cannot be used.
     """
 
-    def __init__(self, path: Path, name: str, ground: Ground | None) -> None:
+    def __init__(self, path: Path, name: str, area: PageArea | None) -> None:
         self.id = secrets.token_urlsafe(12)
         self.path = path
         self.name = shown_name(name)
@@ -62,8 +67,8 @@ class PagePhoto:
             self.content = hashlib.file_digest(file, "sha256").hexdigest()
         self.projection: Projection | None = None
         self.skyline = opened(self)[1].solve()
-        self._ground = ground
-        self.near = self._noted_circle() if ground is None else None
+        self._area = area
+        self.near = self._noted_circle() if area is None else None
         self.strokes: tuple[Stroke, ...] = ()
         self.trace: PhotoSkyline | None = None
         self.trace_text: str | None = None
@@ -92,7 +97,7 @@ class PagePhoto:
             "accuracy_m": skyline.noted.accuracy_m,
             "heading_deg": skyline.noted.heading_deg,
             "near": self.near,
-            "ground": self._ground and self._ground.about,
+            "area": self._area and self._area.about,
             "projection": str(skyline.projection),
             "strokes": [
                 {"kind": str(one.kind), "radius": one.radius_px, "points": one.points_px}
@@ -103,15 +108,15 @@ class PagePhoto:
         }
 
     @property
-    def ground(self) -> Ground:
+    def area(self) -> PageArea:
         """Where the photo is searched; raises `InputError` without an area."""
-        if self._ground is None:
+        if self._area is None:
             raise InputError("there is no elevation for this photo yet; find the place first")
-        return self._ground
+        return self._area
 
-    def search_in(self, ground: Ground) -> None:
-        """Search the photo in a ground from now on."""
-        self._ground = ground
+    def search_in(self, area: PageArea) -> None:
+        """Search the photo in an area from now on."""
+        self._area = area
 
     def _noted_circle(self) -> tuple[float, float, float] | None:
         """Return the circle that `skyline.locate` searches, or None."""
@@ -165,7 +170,8 @@ class PagePhoto:
     def current_result(self) -> MatchResult | None:
         """The result of the search; None if the skyline has changed since."""
         searched = self.result_json
-        return self.result if searched and searched["skyline"] == version_of(self.skyline) else None
+        is_same = searched and searched["skyline"] == skyline_digest(self.skyline)
+        return self.result if is_same else None
 
     def result_of(self, asked: Mapping[str, Any]) -> MatchResult | None:
         """Return a search's result, unless a search now would differ."""
@@ -178,7 +184,7 @@ class PagePhoto:
             self.match.cancelled.set()
 
 
-def version_of(skyline: PhotoSkyline) -> str:
+def skyline_digest(skyline: PhotoSkyline) -> str:
     """Return a digest that distinguishes skylines of one photo."""
     seen = skyline.row_px.tobytes() + skyline.trust.tobytes() + skyline.projection.encode()
     return hashlib.sha256(seen).hexdigest()[:16]
@@ -223,7 +229,7 @@ class Match:
         self.photo = photo
         self._skyline = skyline
         self._narrowing = narrowing
-        self._question = {"asked": asked, "skyline": version_of(skyline)}
+        self._question = {"asked": asked, "skyline": skyline_digest(skyline)}
         self.cancelled = threading.Event()
         self.step = "waiting"
         self.share = 0.0
@@ -235,8 +241,8 @@ class Match:
         """Match, and leave the result in the photo or an ``error``."""
         try:
             self._check()
-            ground = self._ground(engine)
-            result = ground.matcher.match(
+            area = self._area(engine)
+            result = area.matcher.match(
                 self._skyline, narrowing=self._narrowing, report_progress=self._report
             )
         except _CancelledError:
@@ -247,27 +253,27 @@ class Match:
             self.error = "there is not enough memory for this match; narrow the search"
         else:
             self.photo.result = result
-            about = {"ground": ground.about}
-            self.photo.result_json = self._question | outcome_json(result, ground) | about
+            about = {"area": area.about}
+            self.photo.result_json = self._question | outcome_json(result, area) | about
         finally:
             self.step = "done"
             self.share = 1.0
             self.done = True
 
-    def _ground(self, engine: Engine) -> Ground:
-        """Return the photo's ground, made if it is missing."""
+    def _area(self, engine: Engine) -> PageArea:
+        """Return the photo's area, made if it is missing."""
         # The circle round the photo's own position may lie in an area that is there.
         is_noted = self._narrowing.near == self.photo.near
         asked = replace(self._narrowing, near=None) if is_noted else self._narrowing
-        if asked.near is None and self.photo.near is None and engine.ground is None:
+        if asked.near is None and self.photo.near is None and engine.area is None:
             raise InputError(
                 f"{self.photo.name} does not note where it was taken; say where to search: give a "
                 "place, and tick “In the circle”"
             )
-        ground = engine.ground_for(self.photo.path, asked, self._report)
-        self.photo.search_in(ground)
+        area = engine.area_for(self.photo.path, asked, self._report)
+        self.photo.search_in(area)
         self._begun = self.share
-        return ground
+        return area
 
     def progress(self) -> dict[str, Any]:
         """Return the progress as JSON for the page."""

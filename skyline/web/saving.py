@@ -17,7 +17,7 @@ from skyline import (
     write_located,
     write_trace,
 )
-from skyline.web.ground import Ground
+from skyline.web.area import PageArea
 from skyline.web.messages import pose_of
 from skyline.web.photos import PagePhoto, opened
 
@@ -47,7 +47,7 @@ def chosen_of(asked: Mapping[str, Any], photo: PagePhoto) -> MatchResult:
     with the index ``rank``, 0 by default.
     """
     if asked.get("pose") is not None:
-        pose = pose_of(asked["pose"], photo.skyline, photo.ground.viewer)
+        pose = pose_of(asked["pose"], photo.skyline, photo.area.viewer)
         return MatchResult(photo.skyline, (pose,), 0.0, "chosen by a person", name=photo.name)
     if asked.get("fitted"):
         if photo.fitted is None:
@@ -71,19 +71,19 @@ def saved(kind: str, photo: PagePhoto, result: MatchResult, folder: Path) -> byt
     """
     path = folder / f"{secrets.token_hex(8)}.{KINDS[kind]}"
     beside = path.with_suffix("")
-    ground = photo.ground
-    matcher = ground.matcher
+    area = photo.area
+    matcher = area.matcher
     pose = result.candidates[0]
     try:
         if kind == "photo":
             write_located(photo.path, path, pose)
         elif kind == "names":
-            path.write_bytes(_named(ground, photo, pose))
+            path.write_bytes(_named(area, photo, pose))
         else:
             photos = [opened(photo)[0].rgb]
             if kind == "report":
                 done = f"{pose.origin.capitalize()} on the page."
-                report_matches(beside, matcher, [result], ground.peaks, photos, done).rename(path)
+                report_matches(beside, matcher, [result], area.peaks, photos, done).rename(path)
             else:
                 export_matches(path, [result], matcher.frame, photos)
         return path.read_bytes()
@@ -92,10 +92,10 @@ def saved(kind: str, photo: PagePhoto, result: MatchResult, folder: Path) -> byt
         shutil.rmtree(beside, ignore_errors=True)
 
 
-def _named(ground: Ground, photo: PagePhoto, pose: Pose) -> bytes:
+def _named(area: PageArea, photo: PagePhoto, pose: Pose) -> bytes:
     """Return the photo with the names of its summits, as PNG."""
-    if ground.peaks is None:
+    if area.peaks is None:
         raise InputError("no names are known; start skyline serve with --peaks FILE")
     picture = opened(photo)[0]
-    seen = ground.viewer.summits(pose, picture.blank)
+    seen = area.viewer.summits(pose, picture.blank)
     return draw_labels(picture.blank, picture.rgb, seen)[0]

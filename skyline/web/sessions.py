@@ -16,8 +16,8 @@ MAX_SESSION_BYTES = 2_000_000_000
 
 
 @dataclass(frozen=True)
-class Patience:
-    """How long the server waits after a page was closed."""
+class Stay:
+    """How long a session stays after its page was closed."""
 
     unattended_s: float = 3.0
     """How long a match goes on without an open page."""
@@ -85,8 +85,8 @@ class Sessions:
     Their folders lie in one temporary folder that is deleted with the server.
     """
 
-    def __init__(self, patience: Patience = Patience()) -> None:
-        self._patience = patience
+    def __init__(self, stay: Stay = Stay()) -> None:
+        self._stay = stay
         self._folder = Path(tempfile.mkdtemp(prefix="skyline-page-"))
         self._sessions: dict[str, Session] = {}
 
@@ -105,10 +105,10 @@ class Sessions:
     def sweep(self) -> None:
         """End matches that no page waits for, and sessions closed long ago."""
         for session in list(self._sessions.values()):
-            if session.unattended_s > self._patience.unattended_s:
+            if session.unattended_s > self._stay.unattended_s:
                 for photo in list(session.photos.values()):
                     photo.cancel()
-            if session.unattended_s > self._patience.gone_s:
+            if session.unattended_s > self._stay.gone_s:
                 self._end(session)
 
     def close(self) -> None:

@@ -14,7 +14,7 @@ from skyline.render.horizon import PanoramaRenderer
 from skyline.terrain.field_files import read_field, save_dem
 from skyline.terrain.grid import Grid
 from skyline.terrain.heightfield import field_of
-from skyline.terrain.metric_dem import MetricDem, Source
+from skyline.terrain.metric_dem import MetricDem, WarpSource
 from skyline.terrain.provenance import Provenance
 from skyline.terrain.resampling import Warp
 from skyline.terrain.summits import highest_within, summit_heights_m
@@ -34,7 +34,7 @@ def lazy_dem(seed):
     heights_m[:30, :50] = np.nan
     grid = Grid(9.0, 47.0, STEP_DEG, STEP_DEG, ROWS, COLS)
     frame = Frame.local(lon=grid.centre[0], lat=grid.centre[1])
-    source = Source(heights_m, Warp(grid, CRS.from_epsg(4326), frame, 60.0))
+    source = WarpSource(heights_m, Warp(grid, CRS.from_epsg(4326), frame, 60.0))
     return MetricDem(source.in_memory(), source.warp.target, frame, Provenance(), source)
 
 

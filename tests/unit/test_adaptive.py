@@ -11,7 +11,7 @@ from skyline.store.places import BINS, Places
 from skyline.survey import adaptive_places
 from skyline.survey.adaptive_places import (
     BLOCK_M,
-    Sights,
+    BegunPlaces,
     blocks_of,
     planned_places,
 )
@@ -43,7 +43,7 @@ def looking(distance_m):
         nothing, place = np.zeros(shape, np.float32), (eyes.easting_m, eyes.northing_m)
         flags = nothing.astype(np.uint8)
         elevation_m = eyes.eye_elevation_m
-        return Sights.of(Horizons(*place, elevation_m, nothing, np.float32(distance), flags))
+        return BegunPlaces.of(Horizons(*place, elevation_m, nothing, np.float32(distance), flags))
 
     return look
 

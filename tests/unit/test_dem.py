@@ -13,7 +13,7 @@ from skyline.geodesy.map_frame import TRUE_DEG, Frame
 from skyline.terrain.dem import read_dem, read_files
 from skyline.terrain.field_files import save_field
 from skyline.terrain.grid import Grid
-from skyline.terrain.metric_dem import Source
+from skyline.terrain.metric_dem import WarpSource
 from skyline.terrain.provenance import DemOptions
 from skyline.terrain.resampling import Warp, local_maxima
 
@@ -142,7 +142,7 @@ def test_warp_is_keys_cubic_convolution_but_for_summits_which_stay_as_high():
     step = 1.0 / 1200.0
     grid = Grid(9.0, 47.0, step, step, 50, 60)
     frame = Frame.local(lon=9.0 + 29.5 * step, lat=47.0 - 24.5 * step)
-    source = Source(heights, Warp(grid, CRS.from_epsg(4326), frame, 70.0))
+    source = WarpSource(heights, Warp(grid, CRS.from_epsg(4326), frame, 70.0))
     warped = source.in_memory().whole()
     target = source.warp.target
     row, col = np.mgrid[5 : target.rows - 5, 5 : target.cols - 5]

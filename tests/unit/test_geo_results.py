@@ -95,7 +95,7 @@ def test_views_are_a_dataset_of_the_same_terms(view_store):
     along = np.linalg.norm(views.skyline_points_m()[..., [0, 2]], axis=-1)
     np.testing.assert_allclose(data.distance_m, along, rtol=1e-5)
     np.testing.assert_array_equal(data.flags, views.flags)
-    np.testing.assert_array_equal(data.grid_azimuth_deg, views.azimuth_deg())
+    np.testing.assert_array_equal(data.grid_azimuth_deg, views.grid_azimuth_deg())
 
 
 @pytest.mark.parametrize("kind", ["place_store", "view_store"])

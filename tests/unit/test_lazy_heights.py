@@ -30,7 +30,7 @@ from skyline.terrain.grid import Grid
 from skyline.terrain.heightfield import field_of
 from skyline.terrain.kept_models import models_folder, noted_warnings, remove_models
 from skyline.terrain.lazy_heights import Blocks, LazyHeights, block_counts
-from skyline.terrain.metric_dem import MetricDem, Source
+from skyline.terrain.metric_dem import MetricDem, WarpSource
 from skyline.terrain.provenance import Provenance
 from skyline.terrain.resampling import Warp
 
@@ -52,7 +52,7 @@ def source_of(heights):
     rows, cols = heights.shape
     grid = Grid(9.0, 47.0, STEP_DEG, STEP_DEG, rows, cols)
     frame = Frame.local(lon=9.0 + 0.5 * cols * STEP_DEG, lat=47.0 - 0.5 * rows * STEP_DEG)
-    return Source(heights, Warp(grid, CRS.from_epsg(4326), frame, 60.0)), frame
+    return WarpSource(heights, Warp(grid, CRS.from_epsg(4326), frame, 60.0)), frame
 
 
 def dem_of(source, frame):
@@ -81,7 +81,7 @@ def test_a_summit_at_the_edge_of_a_polar_model_is_kept_whatever_the_blocks():
     heights[rng.random(heights.shape) < 0.001] = 1000.0
     grid = Grid(10.0, 89.5, STEP_DEG, STEP_DEG, *heights.shape)
     frame = Frame.local(lon=grid.centre[0], lat=grid.centre[1])
-    source = Source(heights, Warp(grid, CRS.from_epsg(4326), frame, 45.0))
+    source = WarpSource(heights, Warp(grid, CRS.from_epsg(4326), frame, 45.0))
     target = source.warp.target
     whole = source.block(slice(0, target.rows), slice(0, target.cols))
     np.testing.assert_array_equal(source.in_memory().whole(), whole)

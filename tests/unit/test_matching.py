@@ -32,7 +32,7 @@ def profiles(viewpoints):
 def panorama(viewpoints, index):
     """Azimuth in degrees and elevation tangent of an exact, finer skyline."""
     views = oracle.skyline(TERRAIN, viewpoints[index : index + 1], 1280)
-    return views.azimuth_deg().ravel(), np.tan(np.radians(views.elevation_deg())).ravel()
+    return views.grid_azimuth_deg().ravel(), np.tan(np.radians(views.elevation_deg())).ravel()
 
 
 def query_at(viewpoints, index, heading_deg, pitch_deg=0.0):

@@ -34,7 +34,7 @@ PHOTO = np.full((400, 900, 3), 90, np.uint8)
 SEEN = [
     SeenPeak(
         name=name, easting_m=EAST_M[at], northing_m=600.0, surface_m=0.0,
-        azimuth_deg=0.0, elevation_tan=0.0, distance_m=600.0, column_px=200.0 + 400.0 * at,
+        grid_azimuth_deg=0.0, elevation_tan=0.0, distance_m=600.0, column_px=200.0 + 400.0 * at,
         row_px=100.0,
     )
     for at, name in enumerate(NAMES)

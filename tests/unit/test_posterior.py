@@ -13,7 +13,7 @@ from place_scenes import AZIMUTH_DEG, curve, places_of, rays
 from scenes import FRAME, candidate_at
 
 from skyline import Frame, InputError, Narrowing
-from skyline.match.posterior import SHARES, SPREAD, AlikePlaces, Posterior, posterior_of
+from skyline.match.posterior import SHARES, SPREAD, AlikePlaces, Findings, Posterior, posterior_of
 from skyline.match.prior import NOTHING_KNOWN, PlacePrior, Prior
 from skyline.match.retrieval import Retriever
 from skyline.match.shard import LocalShard
@@ -49,7 +49,7 @@ def area_m2(ring):
 
 
 def test_a_sure_candidate_s_region_of_95_percent_is_its_ellipse():
-    posterior = posterior_of([SURE], NO_FITS, grid_of_places(2000.0), FRAME)
+    posterior = posterior_of(Findings([SURE], NO_FITS, grid_of_places(2000.0)), FRAME)
     ((ring,),) = posterior.region(0.95)
     off_m = ring - [SURE.easting_m, SURE.northing_m]
     squares = np.einsum("ki,ij,kj->k", off_m, np.linalg.inv(SURE.covariance_m2), off_m)
@@ -62,7 +62,7 @@ def test_a_sure_candidate_s_region_of_95_percent_is_its_ellipse():
 def test_probabilities_add_up_to_one_at_the_border_too():
     at_corner = replace(SURE, easting_m=0.0, northing_m=0.0)
     for candidates in ((SURE,), (at_corner,), ()):
-        posterior = posterior_of(candidates, NO_FITS, grid_of_places(), FRAME)
+        posterior = posterior_of(Findings(candidates, NO_FITS, grid_of_places()), FRAME)
         assert posterior.probability.sum(dtype=float) == pytest.approx(1.0, abs=1e-5)
         assert (posterior.probability >= 0.0).all()
 
@@ -71,7 +71,7 @@ def test_candidates_have_the_probabilities_of_their_confidences():
     best = replace(SURE, confidence=0.5, confidence_1km=0.6)
     beside = replace(best, easting_m=1150.0, rank=2)  # Within 200 m: a part of the best one
     other = replace(SURE, easting_m=3200.0, northing_m=3200.0, confidence=0.1, rank=3)
-    posterior = posterior_of([best, beside, other], NO_FITS, grid_of_places(), FRAME)
+    posterior = posterior_of(Findings([best, beside, other], NO_FITS, grid_of_places()), FRAME)
     # Of the 0.3 that no candidate has, a circle of 200 m holds 0.126 of 16 km2.
     even = 0.3 * 0.1257 / 16.0
     # Of the 0.1 between 200 m and 1 km, 12 % lie within 200 m of the middle.
@@ -84,7 +84,7 @@ def test_without_a_candidate_places_count_by_their_likeness_and_their_size():
         np.array([0.0, 3000.0, 6000.0]), np.zeros(3), np.array([50.0, 50.0, 100.0]),
         np.array([math.log(2.0) / SPREAD.score_weight, 0.0, 0.0]),
     )  # fmt: skip
-    posterior = posterior_of([], NO_FITS, places, FRAME)
+    posterior = posterior_of(Findings([], NO_FITS, places), FRAME)
     # Of the area 1, 1 and 4; the first fits e^ln 2 as well.
     for east_m, share in ((0.0, 2 / 7), (3000.0, 1 / 7), (6000.0, 4 / 7)):
         assert within(posterior, east_m, 0.0, 1000.0) == pytest.approx(share, abs=0.02)
@@ -93,7 +93,7 @@ def test_without_a_candidate_places_count_by_their_likeness_and_their_size():
 def test_fitted_poses_share_what_no_candidate_has():
     doubtful = replace(SURE, confidence=0.2, confidence_1km=0.2)
     fitted = Poses.of(replace(SURE, easting_m=3000.0, northing_m=3000.0))
-    posterior = posterior_of([doubtful], fitted, grid_of_places(), FRAME)
+    posterior = posterior_of(Findings([doubtful], fitted, grid_of_places()), FRAME)
     # Half of the 0.8 lies around it, and of the other half as much as of the area.
     expected = 0.5 * 0.8 * (1.0 + 0.2827 / 16.0)
     assert within(posterior, 3000.0, 3000.0, 300.0) == pytest.approx(expected, abs=0.01)
@@ -101,7 +101,7 @@ def test_fitted_poses_share_what_no_candidate_has():
 
 def test_places_near_the_one_that_a_photo_notes_are_preferred():
     noted = PlacePrior(3000.0, 1000.0, 30.0)
-    posterior = posterior_of([], NO_FITS, grid_of_places(), FRAME, noted)
+    posterior = posterior_of(Findings([], NO_FITS, grid_of_places(), noted), FRAME)
     # Its error exceeds 600 m in 5 % of photos, and in 5 % it is the place of another photo.
     assert within(posterior, 3000.0, 1000.0, 600.0) > 0.9
 
@@ -110,7 +110,7 @@ def test_greater_shares_have_greater_regions():
     doubtful = replace(SURE, confidence=0.4, confidence_1km=0.5)
     places = grid_of_places(2000.0)
     places = replace(places, score=-places.easting_m / 1000.0)
-    posterior = posterior_of([doubtful], NO_FITS, places, FRAME)
+    posterior = posterior_of(Findings([doubtful], NO_FITS, places), FRAME)
     least = [posterior.least_probability(share) for share in SHARES]
     assert least == sorted(least, reverse=True)
     for share, one in zip(SHARES, least, strict=True):
@@ -143,7 +143,7 @@ def test_a_single_cell_has_an_outline():
 
 @pytest.mark.parametrize("share", [0.0, 1.0, -0.5])
 def test_a_share_lies_between_none_and_all(share):
-    posterior = posterior_of([SURE], NO_FITS, grid_of_places(2000.0), FRAME)
+    posterior = posterior_of(Findings([SURE], NO_FITS, grid_of_places(2000.0)), FRAME)
     with pytest.raises(InputError, match="between 0 and 1"):
         posterior.region(share)
 
@@ -167,7 +167,7 @@ def test_places_alike_are_those_within_the_narrowing():
 
 def doubtful_posterior():
     doubtful = replace(SURE, confidence=0.6, confidence_1km=0.7)
-    return posterior_of([doubtful], NO_FITS, grid_of_places(2000.0), FRAME)
+    return posterior_of(Findings([doubtful], NO_FITS, grid_of_places(2000.0)), FRAME)
 
 
 def test_the_geotiff_lies_on_the_map(tmp_path):
@@ -210,7 +210,7 @@ def test_a_region_across_the_antimeridian_is_cut(tmp_path):
     places = grid_of_places(2000.0)
     places = replace(places, easting_m=places.easting_m - 1e3, northing_m=places.northing_m - 1e3)
     write_posteriors(
-        [tmp_path / "a.json"], [("a.jpg", posterior_of([best], NO_FITS, places, frame))]
+        [tmp_path / "a.json"], [("a.jpg", posterior_of(Findings([best], NO_FITS, places), frame))]
     )
     shapes = geopandas.read_file(tmp_path / "a.json")
     assert shapes.is_valid.all()

@@ -58,7 +58,7 @@ def test_a_peak_is_seen_unless_something_before_it_stands_higher():
 
 def test_numbers_stay_behind_a_name_from_right_to_left():
     seen = Sighting(
-        name="Hermon", easting_m=0.0, northing_m=0.0, surface_m=0.0, azimuth_deg=0.0,
+        name="Hermon", easting_m=0.0, northing_m=0.0, surface_m=0.0, grid_azimuth_deg=0.0,
         elevation_tan=0.0, distance_m=9.0, height_m=2814.0,
     )  # fmt: skip
     assert seen.label == "Hermon 2814 m"

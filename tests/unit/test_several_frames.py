@@ -27,7 +27,7 @@ def poses_at(easting_m, northing_m, area):
         fov_deg=zeros,
         cost=np.arange(count, dtype=float),
     )
-    return poses.sited(np.array(area), FRAMES)
+    return poses.found_in(np.array(area), FRAMES)
 
 
 def test_equal_eastings_of_two_frames_are_two_places():

@@ -11,7 +11,8 @@ from skyline.geodesy.earth import Curvature
 from skyline.match.lens_prior import LensPrior
 from skyline.match.prior import EyeHeightPrior
 from skyline.match.rays import Rays
-from skyline.match.solver import FINE, HEADING, PITCH, Curves, Solver, SolverMode
+from skyline.match.solver import FINE, Curves, Solver, SolverMode
+from skyline.pose_errors import HEADING, PITCH
 from skyline.terrain.data_edge import DataEdge
 
 TRUTH = {"heading_deg": 350.0, "pitch_deg": 2.0, "roll_deg": -1.5}

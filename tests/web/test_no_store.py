@@ -38,7 +38,7 @@ def test_a_photo_with_gps_is_found_without_a_store(chromium, one_degree, tmp_pat
         page.click("#photos li:first-child .pick")
         page.until(lambda: page.state("state.photo.name") == "photo.jpg")
         page.until(lambda: page.of("known", "it.known().near") is None)
-        assert page.state("state.ground") is None
+        assert page.state("state.area") is None
         page.script("document.getElementById('known').open = true")
         page.find("#near-place").send_keys("46.51 N, 9.52° E\n")
         assert page.of("known", "it.known().near") == [9.52, 46.51, 1.5]

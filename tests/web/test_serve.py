@@ -90,7 +90,7 @@ def test_two_stores_are_served_as_one(run, dem, photo, tmp_path):
         built(run, dem, store, bounds)
     with serving(*stores, photo) as server:
         about = server.ask("GET", "/state")[1]
-    about |= about["ground"]
+    about |= about["area"]
     assert about["store"] == "west.h5, east.h5"
     assert about["given"] == ["photo.jpg"]
     assert about["places"] == pytest.approx(whole.rows, rel=0.2)
@@ -110,7 +110,7 @@ def test_without_the_stores_dem_it_matches_and_says_what_is_missing(run, dem, ph
     moved.unlink()
     with serving(store, given) as server:
         _, state = server.ask("GET", "/state")
-        found = [state["ground"]["terrain"], state["given"]]
+        found = [state["area"]["terrain"], state["given"]]
         assert found == [None, ["photo.jpg"]]
         session = server.begin()
         record = server.ask("POST", f"{session}/given/0")[1]
@@ -121,7 +121,7 @@ def test_without_the_stores_dem_it_matches_and_says_what_is_missing(run, dem, ph
         assert (status, "photo.jpg cannot be copied" in said["error"]) == (400, True)
         Image.new("RGB", (30, 20)).save(given)
         assert server.ask("POST", f"{session}/given/1")[0] == 404
-        relief = f"/relief/{state['ground']['id']}/9/270/180.png"
+        relief = f"/relief/{state['area']['id']}/9/270/180.png"
         assert server.ask("GET", relief)[0] == 404
         with live(server, session) as socket_:
             socket_.send(look(of_photo))

@@ -5,8 +5,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from skyline.web.ground import shown_name
-from skyline.web.sessions import GoneError, Patience, Sessions
+from skyline.web.area import shown_name
+from skyline.web.sessions import GoneError, Sessions, Stay
 
 
 @pytest.fixture
@@ -42,7 +42,7 @@ def test_a_session_is_kept_for_a_while_after_its_page_is_closed(sessions):
 
 
 def test_a_session_ends_when_its_page_has_been_closed_for_long():
-    with closing(Sessions(Patience(gone_s=0.0))) as sessions:
+    with closing(Sessions(Stay(gone_s=0.0))) as sessions:
         gone = sessions.begin()
         there = sessions.begin()
         photo_in(gone)

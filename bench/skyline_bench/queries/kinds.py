@@ -16,6 +16,7 @@ from skyline.errors import InputError
 from skyline.geodesy.map_frame import Rectangle
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.provenance import Provenance
+from skyline_bench.measuring import middle_of
 from skyline_bench.queries.pinhole import CYLINDER, FISHEYES
 from skyline_bench.queries.synthetic import (
     QueryConfig,
@@ -97,10 +98,8 @@ def make_kind(
     if name == STRANGERS:
         if strange is None:
             raise InputError("strangers need a DEM of terrain off the store; give --strange")
-        west, south, east, north = strange.bounds_m
-        middle = np.array([(west + east) / 2.0, (south + north) / 2.0])
         seen = strange
-        area_m = (*(middle - 4_000.0), *(middle + 4_000.0))  # A square of 8 km
+        area_m = middle_of(strange.bounds_m, (8_000.0, 8_000.0))
     elif name == OTHER_DEM:
         other = resampled(terrain, 1.3 * terrain.spacing_m, (0.37, 0.61))
         seen = perturbed(other, seed=seed)

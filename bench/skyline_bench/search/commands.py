@@ -15,7 +15,6 @@ import numpy as np
 from typer import Option
 
 from skyline import Narrowing
-from skyline.arrays import Progress
 from skyline.cli.options import parse_bounds
 from skyline.cli.terminal import Terminal
 from skyline.errors import InputError, entry_named
@@ -25,6 +24,7 @@ from skyline.match.matcher import FULL
 from skyline.paper.plan import PlanConfig
 from skyline.paper.planners import PLANNERS
 from skyline.plugins import names_of
+from skyline.progress import Progress
 from skyline.store.layout import PLACES, RENDERINGS
 from skyline.survey.plans import map_bounds
 from skyline.terrain.dem import read_dem

@@ -8,14 +8,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from skyline import build_places, build_uniform
-from skyline.arrays import Progress
 from skyline.errors import InputError
 from skyline.geodesy.bounds import Bounds
 from skyline.paper.build import build_planned
 from skyline.paper.plan import PlanConfig
+from skyline.progress import Progress
 from skyline.skylines import HEADINGS
 from skyline.store.layout import PLACES, RENDERINGS
 from skyline.store.places import Places
@@ -23,7 +21,7 @@ from skyline.store.read import open_store, parts_folder
 from skyline.survey.expected_losses import expected_finds
 from skyline.survey.plans import map_bounds, uniform_grid
 from skyline.terrain.heightfield import HeightField
-from skyline_bench.measuring import Row, square_km, timed
+from skyline_bench.measuring import Row, middle_of, square_km, timed
 
 _log = logging.getLogger(__name__)
 
@@ -221,12 +219,11 @@ def middle_deg(
     By default the bounds are the DEM's.
     """
     west, south, east, north = map_bounds(terrain, bounds_deg)
-    half_east = min(size_m[0], east - west) / 2.0
-    half_north = min(size_m[1], north - south) / 2.0
-    middle = np.array([(west + east) / 2.0, (south + north) / 2.0])
-    ends = [[-half_east, half_east, 0.0, 0.0], [0.0, 0.0, -half_north, half_north]]
-    lon, lat = terrain.frame.to_lonlat(*(middle[:, np.newaxis] + ends))
-    return float(lon[0]), float(lat[2]), float(lon[1]), float(lat[3])
+    left, low, right, high = middle_of((west, south, east, north), size_m)
+    easting, northing = (west + east) / 2.0, (south + north) / 2.0
+    lon, _ = terrain.frame.to_lonlat([left, right], [northing, northing])
+    _, lat = terrain.frame.to_lonlat([easting, easting], [low, high])
+    return float(lon[0]), float(lat[0]), float(lon[1]), float(lat[1])
 
 
 def _noted(path: Path) -> dict[str, Any]:

@@ -1,6 +1,6 @@
 // The search: start, progress and cancellation, and the list of its candidates.
 import * as server from "./server.js";
-import { $, degrees, element, emit, mapLink, on, percent, report, setGround, settle, showStatus, state, toView } from "./state.js";
+import { $, degrees, element, emit, mapLink, on, percent, report, setArea, settle, showStatus, state, toView } from "./state.js";
 import { known, standing } from "./known.js";
 import { leave, toCandidate } from "./hand.js";
 import { choose as choosePhoto } from "./photos.js";
@@ -36,9 +36,9 @@ async function find(photo) {
 
 function ended(photo, outcome) {
   photo.state = outcome;
-  photo.ground = photo.result?.ground ?? photo.ground;
+  photo.area = photo.result?.area ?? photo.area;
   if (photo !== state.photo) return;
-  setGround(photo.ground);
+  setArea(photo.area);
   if (outcome === "ready") return showStatus("The search ended without a result");
   // Until a candidate is chosen, the pose does not belong to this search.
   leave();
@@ -89,7 +89,7 @@ function show() {
   const lacks = state.lacks && !("fov_deg" in known()) ? state.lacks : null;
   $("find").disabled = !photo || busy || Boolean(lacks);
   $("progress").hidden = !busy;
-  $("find-hint").hidden = Boolean(!photo || photo.ground || busy);
+  $("find-hint").hidden = Boolean(!photo || photo.area || busy);
   $("answer").replaceChildren(...(busy ? [] : lacks ? missing(lacks) : photo?.result ? verdict(standing()) : []));
   list(busy ? [] : standing()?.candidates ?? []);
 }

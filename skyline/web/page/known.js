@@ -119,7 +119,7 @@ function fromPhoto(photo) {
   const near = asked.near ?? (photo.result ? null : photo.near);
   if (near) isGiven = !isOwn(near, photo);
   // A circle that the user gave before the photo stays, where there is no store to search instead.
-  if (near || state.ground || photo.lonlat_deg || !isGiven) $("near-known").checked = Boolean(near);
+  if (near || state.area || photo.lonlat_deg || !isGiven) $("near-known").checked = Boolean(near);
   $("elevation-known").checked = asked.elevation_m !== null;
   fillNumbers(photo, { ...asked, near }, fov_deg ?? photo.fov_deg);
   const [lon, lat] = near ?? photo.lonlat_deg ?? [];

@@ -13,10 +13,10 @@ const STEPS_DEG = [0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 30, 90]; // ste
 const NAME_PX = [90, 50]; // room for the name of such a line, across and down
 const EARTH_M = 6371008.8;
 let map;
-let relief = null; // the ground's relief
+let relief = null; // the area's relief
 let named; // the names
 let names = []; // the gazetteer's names, with longitude and latitude
-let frame; // the ground's frame; without one, lines of latitude and longitude
+let frame; // the area's frame; without one, lines of latitude and longitude
 let camera;
 let handle; // turns the camera
 let cone; // the view of the camera
@@ -64,7 +64,7 @@ function showCandidates() {
 function showLegend() {
   const result = standing();
   const candidates = result?.candidates ?? [];
-  const interval_m = state.ground?.contours_m?.[Math.round(map.getZoom())];
+  const interval_m = state.area?.contours_m?.[Math.round(map.getZoom())];
   const shown = {
     camera: state.pose,
     best: result?.answered,
@@ -73,7 +73,7 @@ function showLegend() {
     noted: state.photo?.lonlat_deg,
     circle: map.hasLayer(circle),
     names: names.length,
-    area: state.ground,
+    area: state.area,
     contours: interval_m,
   };
   $("contours").textContent = `contours every ${interval_m} m, darker every ${5 * interval_m} m`;
@@ -98,9 +98,9 @@ function showNames() {
   }
 }
 
-async function fetchNames(ground) {
-  const found = ground?.peaks ? await server.names(ground).catch(() => []) : [];
-  if (ground?.id !== state.ground?.id) return;
+async function fetchNames(area) {
+  const found = area?.peaks ? await server.names(area).catch(() => []) : [];
+  if (area?.id !== state.area?.id) return;
   names = found;
   showNames();
   showLegend();
@@ -210,8 +210,8 @@ function drawCircle(km) {
     km === null ? one.remove() : one.addTo(map);
   }
   showLegend();
-  // Without a ground, the circle is all that the map shows.
-  if (km !== null && !state.ground) map.fitBounds(circle.getBounds(), { animate: false });
+  // Without an area, the circle is all that the map shows.
+  if (km !== null && !state.area) map.fitBounds(circle.getBounds(), { animate: false });
 }
 
 export const middle = () => offMap(map.getCenter());
@@ -242,7 +242,7 @@ function showWhere() {
   const at = (shown) => {
     const place = offMap(shown);
     where.textContent = degrees(place.lon, place.lat);
-    server.send({ type: "height", ...place, ground: state.ground?.id, seq: ++asked });
+    server.send({ type: "height", ...place, area: state.area?.id, seq: ++asked });
   };
   map.on("mousemove", (event) => at(event.latlng));
   map.on("moveend", () => at(map.getCenter()));
@@ -260,26 +260,26 @@ function makeMap() {
   map = L.map("map", { attributionControl: false, maxZoom: 18, minZoom: 1, zoomSnap: 0.5 }).setView([0, 0], 1);
   L.control.scale({ imperial: false }).addTo(map);
   frame = L.layerGroup().addTo(map);
-  map.on("moveend", () => state.ground || showDegrees());
-  map.on("click", ({ latlng }) => state.ground || searchAround(offMap(latlng)));
+  map.on("moveend", () => state.area || showDegrees());
+  map.on("click", ({ latlng }) => state.area || searchAround(offMap(latlng)));
   named = L.layerGroup().addTo(map);
   noted = L.layerGroup().addTo(map);
   spots = L.layerGroup().addTo(map);
 }
 
 // Shows the relief and the outline of the stores that are searched.
-function showGround(ground) {
+function showArea(area) {
   relief?.remove();
   relief = null;
   frame.clearLayers();
-  if (!ground) return showDegrees();
-  const { area, terrain } = ground;
-  const [west, , east] = area;
+  if (!area) return showDegrees();
+  const { bounds, terrain } = area;
+  const [west, , east] = bounds;
   middleLon = (west + eastOf(west, east)) / 2;
-  if (terrain) addRelief(ground);
+  if (terrain) addRelief(area);
   else alertUser("The store's DEM is not at hand: the page shows no relief and renders no skyline. Start skyline serve with --dem DEM.", "dem");
-  L.rectangle(box(area), { color: "#fff", weight: 1.5, dashArray: "2 5", fill: false, interactive: false }).addTo(frame);
-  map.fitBounds(box(area), { padding: [8, 8], animate: false });
+  L.rectangle(box(bounds), { color: "#fff", weight: 1.5, dashArray: "2 5", fill: false, interactive: false }).addTo(frame);
+  map.fitBounds(box(bounds), { padding: [8, 8], animate: false });
   if (!map.hasLayer(circle)) state.circle = middle();
 }
 
@@ -332,9 +332,9 @@ export function start() {
   $("near-here").onclick = () => searchAround(middle());
   $("place-here").onclick = () => placeAt(middle());
   new ResizeObserver(() => map.invalidateSize()).observe($("map"));
-  showGround(null);
-  on("ground", showGround);
-  on("ground", fetchNames);
+  showArea(null);
+  on("area", showArea);
+  on("area", fetchNames);
   on("pose", () => {
     showCamera();
     showLegend();

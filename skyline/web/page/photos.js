@@ -1,6 +1,6 @@
 // The list of photos, added by dropping or choosing files, each with its state.
 import * as server from "./server.js";
-import { $, alertUser, element, emit, on, report, setGround, setPhoto, settle, showStatus, state } from "./state.js";
+import { $, alertUser, element, emit, on, report, setArea, setPhoto, settle, showStatus, state } from "./state.js";
 import { buttons, forget, resume, showShare, showSkyline, traceFrom, waits } from "./brush.js";
 import { leave } from "./hand.js";
 import { keptFor, workOn } from "./kept.js";
@@ -69,7 +69,7 @@ export async function choose(photo) {
   if (["waiting", "opening", ...LOST].includes(photo.state)) return;
   if (!photo.id && !(await open(photo, () => server.openGiven(photo.given)).catch(() => false))) return;
   setPhoto(photo);
-  setGround(photo.ground);
+  setArea(photo.area);
   forget();
   loading = true;
   show(null);
@@ -183,7 +183,7 @@ function leaveOut(photo) {
   state.photos = state.photos.filter((one) => one !== photo);
   if (photo === state.photo) {
     setPhoto(null);
-    setGround(state.server.ground);
+    setArea(state.server.area);
     loading = false;
     show(null);
     showStatus("");

@@ -58,7 +58,7 @@ function download(photo, blob, ending) {
 
 function show() {
   for (const [kind] of KINDS) $(`save-${kind}`).disabled = !state.photo || !state.pose;
-  $("save-names").hidden = !state.ground?.peaks;
+  $("save-names").hidden = !state.area?.peaks;
   $("save-trace").disabled = !state.trace;
   $("load-trace").disabled = !state.photo;
   const unsaved = state.photos.filter((photo) => photo.unsaved).map((photo) => photo.name);
@@ -71,7 +71,7 @@ export function start() {
     $("save-trace").before(button);
   }
   $("save-trace").onclick = saveTrace;
-  for (const name of ["photo", "pose", "skyline", "ground", "unsaved"]) on(name, show);
+  for (const name of ["photo", "pose", "skyline", "area", "unsaved"]) on(name, show);
   on("photo", () => settle("save"));
   show();
 }

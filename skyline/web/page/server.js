@@ -60,7 +60,7 @@ export const tellOthers = () => others.postMessage(session);
 export const records = async () => (await (await ask("GET", `session/${session}`)).json()).photos;
 export const about = async () => (await ask("GET", "state")).json();
 
-export const names = async (ground) => (await ask("GET", `names/${ground.id}`)).json();
+export const names = async (area) => (await ask("GET", `names/${area.id}`)).json();
 
 export async function upload(file) {
   if (file.size > MAX_UPLOAD_BYTES) {

@@ -16,7 +16,7 @@ const OF_PHOTO = {
 
 export const state = {
   server: null, // the server's description of itself
-  ground: null, // the stores in which the photo is searched; null if its area was not made yet
+  area: null, // where the photo is searched; null if it was not made yet
   photos: [], // records in the list's order
   circle: null, // {lon, lat}, the middle of the circle that limits the search
   typing: false, // whether a number of the pose is being typed
@@ -28,10 +28,10 @@ export const state = {
 export const setPhoto = (photo) => Object.assign(state, OF_PHOTO, { photo });
 
 // The photo that is shown is searched in other stores, or in none yet.
-export function setGround(ground) {
-  if (ground?.id === state.ground?.id) return;
-  state.ground = ground;
-  emit("ground", ground);
+export function setArea(area) {
+  if (area?.id === state.area?.id) return;
+  state.area = area;
+  emit("area", area);
 }
 
 const events = new EventTarget();

@@ -25,7 +25,7 @@ _PAGE_ZOOM = 18
 _NAME_LENGTH = 100
 
 
-class Ground:
+class PageArea:
     """Stores of one DEM, opened for many sessions at a time.
 
     Raises `SkylineError` if the stores, their DEM or the gazetteer cannot be used.
@@ -79,7 +79,7 @@ class Ground:
             "id": self.id,
             "store": ", ".join(shown_name(title_of(path)) for path in self.stores),
             "places": self.matcher.rows,
-            "area": list(
+            "bounds": list(
                 self.matcher.frame.box_deg(easting_m=eyes.easting_m, northing_m=eyes.northing_m)
             ),
             "terrain": self.relief and list(self.relief.bounds_deg),

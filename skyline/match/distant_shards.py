@@ -14,15 +14,16 @@ from typing import Any
 
 from skyline.arrays import Float32Array, IntArray
 from skyline.files import version_of
+from skyline.match.areas import terrain_at_hand
 from skyline.match.fit import FitEffort
-from skyline.match.matcher import terrain_at_hand
 from skyline.match.posterior import AlikePlaces
 from skyline.match.prior import Prior
 from skyline.match.rays import Rays
-from skyline.match.screen import Alike, ReportProgress, Screen, silent
+from skyline.match.screen import Alike, Screen
 from skyline.match.search import one_blas_thread
 from skyline.match.shard import LocalShard, Starts, Turns
 from skyline.pose import Poses
+from skyline.progress import StepProgress, silent
 from skyline.store.layout import PLACES_A_CHUNK
 from skyline.store.mapped_places import PartOfPlaces, PlaceMap
 from skyline.store.merge import by_model, open_joined
@@ -94,14 +95,14 @@ class DistantShard:
         priors: Sequence[Prior],
         count: int,
         least: float = -math.inf,
-        report: ReportProgress = silent,
+        report: StepProgress = silent,
     ) -> Alike:
         """See `Shard.screened`; nothing is reported."""
         alike: Alike = self._ask("screened", screens, priors, count, least)
         return alike
 
     def alike_places(
-        self, screens: Sequence[Screen], priors: Sequence[Prior], report: ReportProgress = silent
+        self, screens: Sequence[Screen], priors: Sequence[Prior], report: StepProgress = silent
     ) -> AlikePlaces:
         """See `Shard.alike_places`; nothing is reported."""
         alike: AlikePlaces = self._ask("alike_places", screens, priors)
@@ -118,7 +119,7 @@ class DistantShard:
         return turns
 
     def fitted(
-        self, rays: Rays, starts: Starts, effort: FitEffort, report: ReportProgress = silent
+        self, rays: Rays, starts: Starts, effort: FitEffort, report: StepProgress = silent
     ) -> Poses:
         """See `Shard.fitted`; nothing is reported."""
         poses: Poses = self._ask("fitted", rays, starts, effort)

@@ -8,9 +8,9 @@ import pytest
 from place_scenes import AZIMUTH_DEG, curve, places_of, rays
 from store_rows import PLACES_HEADER
 
+from skyline.match.distant_shards import distant_shards, opening_of
 from skyline.match.retrieval import Retriever
 from skyline.match.shard import LocalShard
-from skyline.match.spread import distant_shards, opening_of
 from skyline.store.layout import columns_of
 from skyline.store.read import open_store
 from skyline.store.write import write_store
