@@ -44,6 +44,9 @@ degrees are not exact."""
 _DIMS = (("y", "x"), ("lat", "lon"), ("latitude", "longitude"), ("northing", "easting"))
 """Names of the dimensions of rows and columns."""
 
+_UNIT_TAGS = ("units", "unit", "unittype")
+"""Names of the tags or attributes, in lower case, in which programs note the unit of heights."""
+
 _log = logging.getLogger(__name__)
 
 
@@ -112,7 +115,8 @@ def array_tile(array: Any, default_crs: CRS | None) -> Tile:
             _check_unit(source, dim, str(array.coords[dim].attrs.get("units", "")), crs)
     transform = _transform_of_array(source, array, (y, x), mapping.get("GeoTransform"), crs)
     grid, north_up = _grid_of(source, transform, (array.sizes[y], array.sizes[x]))
-    vertical = vertical_of(source, crs, str(attrs.get("units", "")), str(attrs.get("positive", "")))
+    unit = str(attrs.get("units", "")) or _tagged_unit(attrs)
+    vertical = vertical_of(source, crs, unit, str(attrs.get("positive", "")))
     on_map = _on_map(source, crs)
     band = np.asarray(array.transpose(y, x, ...).values).reshape(grid.rows, grid.cols)
     # xarray moves attributes to the encoding once it has applied them.
@@ -154,8 +158,9 @@ def _tile_of(
         for name, unit in dataset.tags().items():
             if name in {f"{dim}#units" for dims in _DIMS for dim in dims}:
                 _check_unit(source, name.removesuffix("#units"), unit, crs)
-        positive = dataset.tags(band).get("positive", "up")
-        vertical = vertical_of(source, crs, dataset.units[band - 1] or "", positive)
+        tags = dataset.tags() | dataset.tags(band)
+        unit = dataset.units[band - 1] or _tagged_unit(tags)
+        vertical = vertical_of(source, crs, unit, tags.get("positive", "up"))
         nodata_value = dataset.nodatavals[band - 1]
         nodata = "none declared" if nodata_value is None else f"{nodata_value:g}"
         if alpha is not None or MaskFlags.per_dataset in dataset.mask_flag_enums[band - 1]:
@@ -184,6 +189,16 @@ def _tile_of(
                 yield rows, _heights_of(source, values.data, voids, scale, offset, metres)
 
     return Tile(source, on_map, grid, north_up, vertical, conventions, read, files)
+
+
+def _tagged_unit(tags: Mapping[str, Any]) -> str:
+    """Return the unit of length in tags, or "".
+
+    rioxarray writes an array's attributes as tags of its file, and none as the band's unit. A tag
+    that names anything else than a length is not about heights.
+    """
+    named = (str(tags[name]) for name in tags if str(name).casefold() in _UNIT_TAGS)
+    return next((unit for unit in named if metres_per(unit)), "")
 
 
 def _height_band(source: str, dataset: Any) -> tuple[int, int | None]:

@@ -94,3 +94,10 @@ def test_units_scale_and_cf_grid_mappings_are_heeded():
     mapped = array_of().assign_coords(utm=crs).assign_attrs(grid_mapping="utm")
     lonlat_deg = read_dem(mapped).frame.to_lonlat(6e5, 5.18e6)
     np.testing.assert_allclose(lonlat_deg, field.frame.to_lonlat(6e5, 5.18e6), atol=1e-9)
+
+
+def test_a_file_that_rioxarray_writes_keeps_the_unit_and_the_sense(tmp_path):
+    array = array_of().rio.write_crs("EPSG:32632").assign_attrs(units="ft", positive="down")
+    array.rio.to_raster(tmp_path / "dem.tif")
+    for given in (array, tmp_path / "dem.tif"):
+        np.testing.assert_allclose(read_dem(given).heights_m, array * -0.3048, rtol=1e-6)

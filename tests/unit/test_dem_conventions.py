@@ -123,6 +123,22 @@ def test_heights_are_in_the_unit_of_the_band(tmp_path, unit, metres):
     np.testing.assert_allclose(read_dem(path).heights_m, heights_m, rtol=3e-7)
 
 
+@pytest.mark.parametrize("name", ["units", "UNITTYPE"])
+@pytest.mark.parametrize("bands", [(), (1,)])
+def test_a_band_without_a_unit_has_that_of_a_tag(tmp_path, name, bands):
+    path = write_dem(tmp_path / "dem.tif", np.full((3, 3), 1000.0, np.float32))
+    with rasterio.open(path, "r+") as dataset:
+        dataset.update_tags(*bands, **{name: "feet"})
+    np.testing.assert_allclose(read_dem(path).heights_m, 304.8, rtol=1e-6)
+
+
+def test_a_tag_that_names_no_length_is_not_about_heights(tmp_path):
+    path = write_dem(tmp_path / "dem.tif", np.full((3, 3), 1000.0, np.float32))
+    with rasterio.open(path, "r+") as dataset:
+        dataset.update_tags(units="degrees")
+    np.testing.assert_array_equal(read_dem(path).heights_m, 1000.0)
+
+
 @pytest.mark.parametrize(("datum", "metres"), [(5783, 1.0), (6360, US_FOOT_M), (6358, -US_FOOT_M)])
 @pytest.mark.parametrize("version", ["1.0", "1.1"])
 def test_a_band_without_a_unit_has_that_of_the_vertical_axis(tmp_path, datum, metres, version):
