@@ -26,6 +26,9 @@ SAME_UNIT = 1e-4
 """Units whose lengths differ by a smaller share are the same: the feet of all surveys, and the
 German legal metre."""
 
+UNNAMED = "metre, assumed: neither the band nor the CRS names a unit"
+"""`Vertical.unit` where nothing names a unit."""
+
 _WORDS = {
     "ft": ["foot"],
     "feet": ["foot"],
@@ -130,7 +133,7 @@ def vertical_of(source: str, crs: CRS, band_unit: str, positive: str) -> Vertica
         unit = f"{axis.unit_name}, by the CRS's vertical axis"
     else:
         metres = 1.0
-        unit = "metre, assumed: neither the band nor the CRS names a unit"
+        unit = UNNAMED
         map_unit = crs.axis_info[0] if crs.is_projected else None
         if map_unit and abs(map_unit.unit_conversion_factor - 1.0) > SAME_UNIT:
             notes.append(

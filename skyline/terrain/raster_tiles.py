@@ -8,7 +8,7 @@ a path. `skyline.terrain.mosaic` then reads it, and all commands take it.
 
 import logging
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass
 from functools import partial
@@ -26,10 +26,17 @@ from rasterio.transform import Affine
 from rasterio.windows import Window
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array
-from skyline.errors import InputError, library
+from skyline.errors import InputError, SkylineError, library
 from skyline.files import STORE_SCHEMA, archive_of, is_file, on_disk
 from skyline.geodesy.crs import without_vertical
-from skyline.terrain.datums import SAME_UNIT, Vertical, map_conventions, metres_per, vertical_of
+from skyline.terrain.datums import (
+    SAME_UNIT,
+    UNNAMED,
+    Vertical,
+    map_conventions,
+    metres_per,
+    vertical_of,
+)
 from skyline.terrain.dem_files import no_dem
 from skyline.terrain.grid import Grid, row_strips
 from skyline.terrain.raster_files import bands_of, check_whole, filled_share, opened_raster
@@ -161,6 +168,8 @@ def _tile_of(
         tags = dataset.tags() | dataset.tags(band)
         unit = dataset.units[band - 1] or _tagged_unit(tags)
         vertical = vertical_of(source, crs, unit, tags.get("positive", "up"))
+        if dataset.driver == "VRT" and vertical.unit == UNNAMED:
+            _check_parts(source, dataset.files[1:], default_crs)
         nodata_value = dataset.nodatavals[band - 1]
         nodata = "none declared" if nodata_value is None else f"{nodata_value:g}"
         if alpha is not None or MaskFlags.per_dataset in dataset.mask_flag_enums[band - 1]:
@@ -189,6 +198,26 @@ def _tile_of(
                 yield rows, _heights_of(source, values.data, voids, scale, offset, metres)
 
     return Tile(source, on_map, grid, north_up, vertical, conventions, read, files)
+
+
+def _check_parts(source: str, parts: Sequence[str], default_crs: CRS | None) -> None:
+    """Raise `InputError` if a virtual raster has lost its parts' unit.
+
+    `gdalbuildvrt` copies neither a band's unit nor, often, the vertical part of a CRS. The first
+    part that is a tile speaks for all.
+    """
+    for part in parts:
+        with suppress(SkylineError):
+            other = open_tile(part, default_crs).vertical
+            break
+    else:
+        return
+    if abs(other.metres_per_unit) != 1.0:
+        raise InputError(
+            f"{source} names no unit of heights, and its part {part} has heights in {other.unit}; "
+            f"name the unit in both (rio edit-info --bidx 1 --units '{other.unit.split(',')[0]}' "
+            f"{source}), or give the parts"
+        )
 
 
 def _tagged_unit(tags: Mapping[str, Any]) -> str:

@@ -158,6 +158,28 @@ def test_a_map_in_feet_that_names_no_unit_of_heights(tmp_path, caplog):
     assert not caplog.records
 
 
+@pytest.mark.parametrize(("unit", "is_read"), [("", True), ("m", True), ("ft", False)])
+def test_a_virtual_raster_that_has_lost_its_part_s_unit_is_refused(tmp_path, unit, is_read):
+    in_unit(tmp_path / "part.tif", unit, np.full((3, 3), 1000.0, np.float32))
+    with rasterio.open(tmp_path / "part.tif") as part:
+        wkt, place = part.crs.to_wkt(), ", ".join(map(str, part.transform.to_gdal()))
+    path = tmp_path / "whole.vrt"
+    path.write_text(
+        f"""<VRTDataset rasterXSize="3" rasterYSize="3"><SRS>{wkt}</SRS>
+        <GeoTransform>{place}</GeoTransform><VRTRasterBand dataType="Float32" band="1">
+        <SimpleSource><SourceFilename relativeToVRT="1">part.tif</SourceFilename>
+        <SourceBand>1</SourceBand></SimpleSource></VRTRasterBand></VRTDataset>"""
+    )
+    if is_read:
+        np.testing.assert_array_equal(read_dem(path).heights_m, 1000.0)
+    else:
+        with pytest.raises(InputError, match=r"names no unit of heights, and its part .* in ft"):
+            read_dem(path)
+        with rasterio.open(path, "r+") as dataset:
+            dataset.units = ["ft"]
+        np.testing.assert_allclose(read_dem(path).heights_m, 304.8, rtol=1e-6)
+
+
 def test_depths_become_negative_heights(tmp_path):
     path = depths(tmp_path / "dem.tif", 30)
     np.testing.assert_array_equal(read_dem(path).heights_m, -30.0)
