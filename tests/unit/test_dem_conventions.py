@@ -65,7 +65,7 @@ def warped(path, crs, place, **profile):
         source.astype(np.float32), made, src_transform=transform, src_crs="EPSG:4326",
         dst_transform=target, dst_crs=crs, dst_nodata=np.nan, resampling=Resampling.cubic,
     )  # fmt: skip
-    return write_dem(path, made, crs, transform=target, GEOTIFF_VERSION="1.1", **profile)
+    return in_unit(path, "m", made, crs, transform=target, GEOTIFF_VERSION="1.1", **profile)
 
 
 def true_azimuth_deg(frame, east, north, grid_azimuth_deg):
@@ -150,11 +150,11 @@ def test_a_band_without_a_unit_has_that_of_the_vertical_axis(tmp_path, datum, me
 
 def test_a_map_in_feet_that_names_no_unit_of_heights(tmp_path, caplog):
     path = in_feet(tmp_path / "dem.tif")
-    assert read_dem(path).height_range_m == (1000.0, 1000.0)
-    assert len(caplog.records) == 1
-    caplog.clear()
-    with_vertical = read_dem(path, DemOptions(crs="EPSG:2227+6360"))
-    assert with_vertical.height_range_m[0] == pytest.approx(1000.0 * US_FOOT_M)
+    with pytest.raises(InputError):
+        read_dem(path)
+    for datum, metres in ((6360, US_FOOT_M), (5703, 1.0)):
+        with_vertical = read_dem(path, DemOptions(crs=f"EPSG:2227+{datum}"))
+        assert with_vertical.height_range_m[0] == pytest.approx(1000.0 * metres)
     assert not caplog.records
 
 

@@ -209,6 +209,13 @@ class TestRasters:
         path = in_unit(tmp_path / "dem.tif", unit, np.ones((2, 2), np.float32))
         assert_says(f"are in {unit!r}", lambda: read_dem(path))
 
+    def test_whose_unit_is_ambiguous(self, tmp_path):
+        said = r"is in US survey foot, and nothing names .*--crs EPSG:2227\+6360 for US feet"
+        assert_says(said, lambda: read_dem(in_feet(tmp_path / "feet.tif")))
+        both = in_unit(tmp_path / "both.tif", "m", np.ones((2, 2), np.float32), f"{UTM}+6360")
+        said = "in m by the band and in US survey foot by the vertical axis"
+        assert_says(said, lambda: read_dem(both))
+
     @pytest.mark.parametrize(
         ("crs", "corner", "said"),
         [
@@ -415,10 +422,7 @@ class TestWarnings:
         assert "south" in caplog.text
         assert "is warped to the local conformal frame" in caplog.text
 
-    def test_heights_whose_unit_or_sense_is_assumed(self, tmp_path, caplog):
-        read_dem(in_feet(tmp_path / "feet.tif"))
-        said = "is the US survey foot and none is named for heights; metres are assumed"
-        assert said in caplog.text
+    def test_heights_whose_sense_is_assumed(self, tmp_path, caplog):
         read_dem(depths(tmp_path / "depths.tif"))
         assert "values are depths, positive downward" in caplog.text
 
