@@ -209,6 +209,10 @@ class TestRasters:
         path = in_unit(tmp_path / "dem.tif", unit, np.ones((2, 2), np.float32))
         assert_says(f"are in {unit!r}", lambda: read_dem(path))
 
+    def test_above_all_ground(self, tmp_path):
+        path = write_dem(tmp_path / "dem.tif", np.where(mountains() > 1500.0, 9999.0, mountains()))
+        assert_says("up to 9999 m, more than any .* --nodata 9999", lambda: read_dem(path))
+
     def test_whose_unit_is_ambiguous(self, tmp_path):
         said = r"is in US survey foot, and nothing names .*--crs EPSG:2227\+6360 for US feet"
         assert_says(said, lambda: read_dem(in_feet(tmp_path / "feet.tif")))
@@ -462,11 +466,10 @@ class TestWarnings:
         read_dem(rough_tiles(tmp_path, row, col, 0.0))
         assert caplog.messages == []
 
-    def test_fill_and_heights_of_no_ground(self, tmp_path, caplog):
+    def test_fill_and_sea_beds(self, tmp_path, caplog):
         heights = mountains()
         for values, said in (
             (np.where(np.arange(200) < 30, np.float32(0.0), heights), "exactly 0 m"),
-            (10.0 * heights, "more than any ground on Earth"),
             (heights - 3000.0, "the bed of a sea"),
         ):
             read_dem(write_dem(tmp_path / "dem.tif", values))
