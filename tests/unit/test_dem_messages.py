@@ -209,6 +209,13 @@ class TestRasters:
         path = in_unit(tmp_path / "dem.tif", unit, np.ones((2, 2), np.float32))
         assert_says(f"are in {unit!r}", lambda: read_dem(path))
 
+    @pytest.mark.parametrize(
+        ("col", "said"), [(80, r"stands 4\d\.\d m above the tiles beside"), (78, "more than 30 m")]
+    )
+    def test_in_tiles_of_other_ground(self, tmp_path, col, said):
+        paths = rough_tiles(tmp_path, 0, col, 47.0)
+        assert_says(f"{said}.*another unit or datum", lambda: read_dem(paths))
+
     def test_above_all_ground(self, tmp_path):
         path = write_dem(tmp_path / "dem.tif", np.where(mountains() > 1500.0, 9999.0, mountains()))
         assert_says("up to 9999 m, more than any .* --nodata 9999", lambda: read_dem(path))
@@ -259,7 +266,7 @@ class TestTiles:
     def test_under_a_raster_of_other_values(self, folder):
         east(folder / "b.tif")
         east(folder / "c_slope.tif", np.full((SIZE, SIZE), 30.0, np.float32))
-        said = r"c_slope\.tif covers the same ground as .* name the"
+        said = r"c_slope\.tif covers ground of .* name the"
         assert_says(said, lambda: read_dem(folder))
 
 
