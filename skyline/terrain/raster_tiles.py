@@ -8,6 +8,7 @@ a path. `skyline.terrain.mosaic` then reads it, and all commands take it.
 
 import logging
 import math
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass
@@ -39,7 +40,13 @@ from skyline.terrain.datums import (
 )
 from skyline.terrain.dem_files import no_dem
 from skyline.terrain.grid import Grid, row_strips
-from skyline.terrain.raster_files import bands_of, check_whole, filled_share, opened_raster
+from skyline.terrain.raster_files import (
+    bands_of,
+    check_whole,
+    filled_share,
+    opened_raster,
+    unpacked,
+)
 
 UNDECLARED_VOIDS = (-32768.0, -9999.0)
 """Values that mark a void in DEMs that do not declare them as nodata."""
@@ -53,6 +60,9 @@ _DIMS = (("y", "x"), ("lat", "lon"), ("latitude", "longitude"), ("northing", "ea
 
 _UNIT_TAGS = ("units", "unit", "unittype")
 """Names of the tags or attributes, in lower case, in which programs note the unit of heights."""
+
+_ZUNITS = re.compile(r"^\s*Zunits\s+(\S+)", re.IGNORECASE | re.MULTILINE)
+"""The line of an ArcInfo ``.prj`` that names the unit of heights."""
 
 _log = logging.getLogger(__name__)
 
@@ -166,7 +176,7 @@ def _tile_of(
             if name in {f"{dim}#units" for dims in _DIMS for dim in dims}:
                 _check_unit(source, name.removesuffix("#units"), unit, crs)
         tags = dataset.tags() | dataset.tags(band)
-        unit = dataset.units[band - 1] or _tagged_unit(tags)
+        unit = dataset.units[band - 1] or _tagged_unit(tags) or _unit_beside(dataset.files)
         vertical = vertical_of(source, crs, unit, tags.get("positive", "up"))
         if dataset.driver == "VRT" and vertical.unit == UNNAMED:
             _check_parts(source, dataset.files[1:], default_crs)
@@ -228,6 +238,20 @@ def _tagged_unit(tags: Mapping[str, Any]) -> str:
     """
     named = (str(tags[name]) for name in tags if str(name).casefold() in _UNIT_TAGS)
     return next((unit for unit in named if metres_per(unit)), "")
+
+
+def _unit_beside(files: Sequence[str]) -> str:
+    """Return the unit of length in a raster's ``.prj``, or "".
+
+    Of one in ArcInfo's old form, as of the USGS's tiles, GDAL reads the map alone.
+    """
+    for name in files:
+        if name.lower().endswith(".prj") and (is_file(name) or archive_of(name)):
+            with unpacked(name) as content:
+                found = _ZUNITS.search(content.read().decode("latin-1"))
+            if found and metres_per(found[1]):
+                return found[1]
+    return ""
 
 
 def _height_band(source: str, dataset: Any) -> tuple[int, int | None]:

@@ -132,6 +132,17 @@ def test_a_band_without_a_unit_has_that_of_a_tag(tmp_path, name, bands):
     np.testing.assert_allclose(read_dem(path).heights_m, 304.8, rtol=1e-6)
 
 
+@pytest.mark.parametrize(("unit", "metres"), [("FEET", 0.3048), ("METERS", 1.0), ("NO", 1.0)])
+def test_an_arcinfo_projection_names_the_unit_of_heights(tmp_path, unit, metres):
+    path = tmp_path / "dem.asc"
+    header = "ncols 3\nnrows 3\nxllcorner 500000\nyllcorner 5000000\ncellsize 30\n"
+    path.write_text(header + "1000 1000 1000\n" * 3)
+    path.with_suffix(".prj").write_text(
+        f"Projection UTM\nZone 32\nDatum WGS84\nZunits {unit}\nUnits METERS\nParameters\n"
+    )
+    np.testing.assert_allclose(read_dem(path).heights_m, 1000.0 * metres, rtol=1e-6)
+
+
 def test_a_tag_that_names_no_length_is_not_about_heights(tmp_path):
     path = write_dem(tmp_path / "dem.tif", np.full((3, 3), 1000.0, np.float32))
     with rasterio.open(path, "r+") as dataset:
