@@ -81,7 +81,8 @@ def time_of(given: datetime | str) -> datetime:
             return at
     raise InputError(
         f"the time is `{given}`; expected a day and a time with its zone, such as "
-        f"2026-12-21T15:04Z (UTC) or 2026-12-21T16:04+01:00, in the years {_FIRST_YEAR} to {_LAST_YEAR}"
+        "2026-12-21T15:04Z (UTC) or 2026-12-21T16:04+01:00, in the years "
+        f"{_FIRST_YEAR} to {_LAST_YEAR}"
     )
 
 
