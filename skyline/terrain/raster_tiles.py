@@ -61,6 +61,9 @@ _DIMS = (("y", "x"), ("lat", "lon"), ("latitude", "longitude"), ("northing", "ea
 _UNIT_TAGS = ("units", "unit", "unittype")
 """Names of the tags or attributes, in lower case, in which programs note the unit of heights."""
 
+_VOID_ATTRS = ("_FillValue", "missing_value", "nodata", "nodatavals")
+"""Attributes of arrays that give the value of voids: CF's, and those of odc-geo and of xarray's
+former reader of rasters."""
 _ZUNITS = re.compile(r"^\s*Zunits\s+(\S+)", re.IGNORECASE | re.MULTILINE)
 """The line of an ArcInfo ``.prj`` that names the unit of heights."""
 
@@ -140,8 +143,8 @@ def array_tile(array: Any, default_crs: CRS | None) -> Tile:
     scale = float(attrs.get("scale_factor", 1.0))
     offset = float(attrs.get("add_offset", 0.0))
     metres = vertical.metres_per_unit
-    named = (np.ravel(attrs[name]) for name in ("_FillValue", "missing_value") if name in attrs)
-    void_values = [value for values in named for value in values.tolist()]
+    named = (np.ravel(attrs[name]) for name in _VOID_ATTRS if name in attrs)
+    void_values = [value for values in named for value in values.tolist() if value is not None]
 
     def read() -> Iterator[tuple[slice, Float32Array]]:
         for rows in row_strips(band):
