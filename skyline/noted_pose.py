@@ -12,7 +12,20 @@ from skyline.pose_errors import WARP
 
 _NEEDED = ("lon", "lat", "heading_deg", "fov_deg")
 """What a record of a pose must have for `NotedPose.from_dict`."""
-_OPTIONAL = ("pitch_deg", "roll_deg", "distortion", "eye_elevation_m", "eye_height_m")
+_HEIGHTS = ("eye_elevation_m", "eye_height_m")
+"""The names of an eye's height, of which a record has at most one."""
+_OPTIONAL = ("pitch_deg", "roll_deg", "distortion", *_HEIGHTS)
+_MISNAMED = {
+    **dict.fromkeys(("pitch", "tilt", "tilt_deg"), "pitch_deg"),
+    "roll": "roll_deg",
+    **dict.fromkeys(
+        ("elevation", "elevation_m", "altitude", "altitude_m", "ele", "eye_elevation"),
+        "eye_elevation_m",
+    ),
+    **dict.fromkeys(("height", "height_m", "eye_height"), "eye_height_m"),
+}
+"""Names that people write, and the names that are read. Without them a camera would be level and
+stand on the ground."""
 _UNKNOWNS = (WARP, WARP + 1, WARP + len(WANDER_DEGREES))
 """Numbers of rows that `skyline.pose.Pose.covariance` may have: without a distortion, with it, and
 with a panorama's wander."""
@@ -67,7 +80,8 @@ class NotedPose:
         ----------
         record : mapping
             It needs ``lon``, ``lat``, ``heading_deg`` and ``fov_deg``. Null stands for an unknown
-            value; names that a `NotedPose` does not have are ignored.
+            value; names that a `NotedPose` does not have are ignored, but not a ``pitch`` without
+            its unit and the like.
         projection : Projection
             The projection of the photo. A record need not have it.
         source : str
@@ -88,6 +102,7 @@ class NotedPose:
             for name in (*_NEEDED, *_OPTIONAL)
             if record.get(name) is not None
         }
+        _check_names(record, given, source)
         wander = _wander_in(record, source)
         for name, most in _MOST.items():
             if abs(given.get(name, 0.0)) > most:
@@ -98,7 +113,7 @@ class NotedPose:
         lat = given["lat"]
         if not are_degrees(lon, lat):
             raise InputError(f"{source}: the place is {lon:g},{lat:g}; expected degrees (WGS 84)")
-        if {"eye_elevation_m", "eye_height_m"} <= given.keys():
+        if set(_HEIGHTS) <= given.keys():
             raise InputError(f"{source} has both eye_elevation_m and eye_height_m; give one")
         own = noted_projection(record, source)
         if own not in {None, projection}:
@@ -113,6 +128,16 @@ class NotedPose:
                 "photo's --projection"
             )
         return cls(**given, wander=wander, covariance=_covariance_in(record, source))
+
+
+def _check_names(record: Mapping[str, Any], given: Mapping[str, float], source: str) -> None:
+    """Raise `InputError` if a value that is not given has a name that is not read."""
+    known = set(given)
+    if known & set(_HEIGHTS):
+        known |= set(_HEIGHTS)
+    for name, meant in _MISNAMED.items():
+        if meant not in known and record.get(name) is not None:
+            raise InputError(f"{source} has {name}, which is not read; name it {meant}")
 
 
 def _covariance_in(record: Mapping[str, Any], source: str) -> tuple[tuple[float, ...], ...] | None:

@@ -24,6 +24,7 @@ from pyproj.exceptions import CRSError
 from skyline.arrays import Float64Array, ShortRepr
 from skyline.errors import InputError, printable, swapped_in_words
 from skyline.files import GEOJSON, read_bytes
+from skyline.geodesy.crs import WGS84, transformer
 from skyline.geodesy.earth import GROUND_M, Curvature
 from skyline.geodesy.map_frame import Frame
 from skyline.tables import Row, read_table
@@ -214,27 +215,31 @@ def _of_geojson(path: str | Path) -> list[_Point]:
             f"gazetteer {path} cannot be read ({error}); expected GeoJSON: a FeatureCollection of "
             "points with the property `name`"
         ) from None
-    _check_degrees(path, read)
+    to_wgs84 = transformer(_crs_of(path, read), WGS84)
     features = read.get("features") if isinstance(read, dict) else None
     found = [_named_point(feature) for feature in features] if isinstance(features, list) else []
-    return list(filter(None, found))
+    return [
+        (name, *to_wgs84.transform(lon, lat), ele) for name, lon, lat, ele in filter(None, found)
+    ]
 
 
-def _check_degrees(path: str | Path, read: Any) -> None:
-    """Raise `InputError` if GeoJSON names a system that is not in degrees.
+def _crs_of(path: str | Path, read: Any) -> CRS:
+    """Return the system of GeoJSON's degrees: WGS 84, unless it names another.
 
-    GeoJSON of 2008 could name a coordinate reference system.
+    GeoJSON of 2008 could name a coordinate reference system. Raises `InputError` if that is not in
+    degrees.
     """
     try:
         name = str(read["crs"]["properties"]["name"])
         crs = CRS.from_user_input(name)
     except (TypeError, KeyError, CRSError):
-        return
+        return WGS84
     if not crs.is_geographic:
         raise InputError(
             f"gazetteer {path} has the coordinate system {printable(crs.name)}; expected degrees "
             "of WGS 84: convert it, as with ogr2ogr -t_srs EPSG:4326"
         )
+    return crs
 
 
 def _named_point(feature: Any) -> _Point | None:

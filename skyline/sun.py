@@ -69,18 +69,20 @@ def day_of(given: date | str) -> date:
 def time_of(given: datetime | str) -> datetime:
     """Return a time in UTC, given or written like 2026-12-21T15:04+01:00.
 
-    A time without a zone is in UTC. Raises `InputError` for anything else, and for years before
-    1583 or after 9998.
+    A `datetime` without a zone is in UTC. Raises `InputError` for anything else, such as a text
+    without a zone, and for years before 1583 or after 9998.
     """
     with suppress(ValueError, OverflowError):
         at = given if isinstance(given, datetime) else datetime.fromisoformat(str(given))
         has_hour = isinstance(given, datetime) or "T" in str(given) or " " in str(given).strip()
+        has_zone = at.tzinfo is not None or isinstance(given, datetime)
         at = at.astimezone(UTC) if at.tzinfo else at.replace(tzinfo=UTC)
-        if has_hour and _FIRST_YEAR <= at.year <= _LAST_YEAR:
+        if has_hour and has_zone and _FIRST_YEAR <= at.year <= _LAST_YEAR:
             return at
     raise InputError(
-        f"the time is `{given}`; expected a day and a time such as 2026-12-21T15:04Z (UTC) or "
-        f"2026-12-21T16:04+01:00, in the years {_FIRST_YEAR} to {_LAST_YEAR}"
+        f"the time is `{given}`; expected a day and a time with its zone, such as "
+        "2026-12-21T15:04Z (UTC) or 2026-12-21T16:04+01:00, in the years "
+        f"{_FIRST_YEAR} to {_LAST_YEAR}"
     )
 
 

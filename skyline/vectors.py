@@ -41,6 +41,8 @@ _PARTS = {
 """Kind of the parts of a GeoJSON geometry, and whether it has several."""
 _LEAST_VERTICES = {POINT: 1, LINE: 2, POLYGON: 3}
 _SVG_SHAPES = ("polygon", "polyline", "line", "rect", "circle", "ellipse", "path")
+_SVG_UNSEEN = ("defs", "clipPath", "mask", "symbol", "marker", "pattern")
+"""Elements of SVG whose shapes are not drawn where they stand."""
 _SVG_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _SVG_STEP = re.compile(rf"([a-zA-Z])|({_SVG_NUMBER})")
 _CORNER = 0.5
@@ -379,32 +381,46 @@ def _of_svg(path: Path, root: Element) -> Vectors:
     box = [float(one) for one in re.findall(_SVG_NUMBER, root.get("viewBox", ""))]
     sides = [re.match(_SVG_NUMBER, root.get(side, "")) for side in ("width", "height")]
     size = box[2:] if len(box) == 4 else [float(one[0]) for one in sides if one is not None]
+    corner = box[:2] if len(box) == 4 else [0.0, 0.0]
+    unseen = {part for one in root.iter() if _tag(one) in _SVG_UNSEEN for part in one.iter()}
     shapes = []
     for number, one in enumerate(root.iter(), start=1):
         where = f"element {number} ({_tag(one)})"
-        if one.get("transform"):
+        if one in unseen:
+            continue
+        if one.get("transform") or (_tag(one) in ("svg", "use") and one is not root):
             raise InputError(
-                f"{path}, {where} has a transform; expected shapes in the photo's pixels: apply "
-                "the transforms, or export GeoJSON"
+                f"{path}, {where} moves shapes; expected shapes in the photo's pixels: apply the "
+                "transforms and unlink clones, or export GeoJSON"
             )
         if _tag(one) in _SVG_SHAPES:
             about = {"id": one.get("id")} if one.get("id") else {}
             shapes += [
-                Shape(kind, (ring - _CORNER,), where, about) for kind, ring in _svg_rings(path, one)
+                Shape(kind, (ring - corner - _CORNER,), where, about)
+                for kind, ring in _svg_rings(path, where, one)
             ]
     size_px = (round(size[0]), round(size[1])) if len(size) == 2 else None
     return Vectors(path, tuple(shapes), in_pixels=True, size_px=size_px)
 
 
-def _svg_rings(path: Path, one: Element) -> Iterator[tuple[str, Float64Array]]:
+def _svg_rings(path: Path, where: str, one: Element) -> Iterator[tuple[str, Float64Array]]:
     """Yield the kind and the vertices of an SVG shape's parts."""
 
     def numbers(*names: str) -> list[float]:
-        return [float(one.get(name, "0")) for name in names]
+        texts = [one.get(name, "0") for name in names]
+        for text in texts:
+            if not re.fullmatch(rf"{_SVG_NUMBER}(px)?", text):
+                raise InputError(
+                    f"{path}, {where} has the coordinate {printable(text)[:40]}; expected pixels: "
+                    "export it without other units, or GeoJSON"
+                )
+        return [float(text.removesuffix("px")) for text in texts]
 
     tag = _tag(one)
     if tag in ("polygon", "polyline"):
         given = [float(number) for number in re.findall(_SVG_NUMBER, one.get("points", ""))]
+        if len(given) % 2:
+            raise InputError(f"{path}, {where} has {len(given)} numbers; expected columns and rows")
         yield POLYGON if tag == "polygon" else LINE, np.reshape(given, (-1, 2))
     elif tag == "line":
         yield LINE, np.reshape(numbers("x1", "y1", "x2", "y2"), (2, 2))

@@ -1,6 +1,6 @@
 """Units, datums, axes and prime meridian of a raster of heights.
 
-Conventions that a file names are used; others are assumed, with a warning where that matters.
+Conventions that a file names are used; others are assumed, or asked for where that matters.
 """
 
 import math
@@ -25,6 +25,9 @@ _UNSAID = {"", "no", "none", "unknown", "unspecified"}
 SAME_UNIT = 1e-4
 """Units whose lengths differ by a smaller share are the same: the feet of all surveys, and the
 German legal metre."""
+
+UNNAMED = "metre, assumed: neither the band nor the CRS names a unit"
+"""`Vertical.unit` where nothing names a unit."""
 
 _WORDS = {
     "ft": ["foot"],
@@ -108,7 +111,8 @@ def vertical_of(source: str, crs: CRS, band_unit: str, positive: str) -> Vertica
     ``positive`` is ``"down"`` for depths, as CF writes it; an axis that points down has the same
     effect. ``source`` is the raster's name in errors.
 
-    Raises `InputError` where the band's unit is not a known unit of length.
+    Raises `InputError` where the band's unit is not a known unit of length or not that of the
+    axis, and where only the map names a unit, which is not the metre.
     """
     axis = next((axis for axis in crs.axis_info if axis.direction in ("up", "down")), None)
     notes = []
@@ -121,28 +125,37 @@ def vertical_of(source: str, crs: CRS, band_unit: str, positive: str) -> Vertica
             )
         unit = f"{band_unit}, by the band"
         if axis and abs(axis.unit_conversion_factor / metres - 1.0) > SAME_UNIT:
-            notes.append(
-                f"heights are in {band_unit} by the band and in {axis.unit_name} by the vertical "
-                "axis of the CRS; the band's unit is used"
+            raise InputError(
+                f"{source} has heights in {band_unit} by the band and in {axis.unit_name} by the "
+                "vertical axis of its CRS; compare them with a map, and correct the band (rio "
+                f"edit-info --bidx 1 --units '{axis.unit_name}') or the CRS (gdal_edit.py -a_srs)"
             )
     elif axis:
         metres = axis.unit_conversion_factor
         unit = f"{axis.unit_name}, by the CRS's vertical axis"
     else:
         metres = 1.0
-        unit = "metre, assumed: neither the band nor the CRS names a unit"
-        map_unit = crs.axis_info[0] if crs.is_projected else None
-        if map_unit and abs(map_unit.unit_conversion_factor - 1.0) > SAME_UNIT:
-            notes.append(
-                f"the unit of the map is the {map_unit.unit_name} and none is named for heights; "
-                "metres are assumed. If that is wrong, name the unit in the file (rio edit-info "
-                f"--bidx 1 --units '{map_unit.unit_name}')"
-            )
+        unit = UNNAMED
+        _check_map_in_metres(source, crs)
     if positive.strip().casefold() == "down" or (axis and axis.direction == "down"):
         metres = -metres
         notes.append("values are depths, positive downward; heights are taken as their negatives")
     assumed = GEOID if is_of_earth(crs) else _figure_of(crs)
     return Vertical(metres, unit, *_datum_of(crs), assumed, tuple(notes))
+
+
+def _check_map_in_metres(source: str, crs: CRS) -> None:
+    """Raise `InputError` for a map in feet, whose heights may be in feet or metres."""
+    axis = crs.axis_info[0] if crs.is_projected else None
+    if axis is None or abs(axis.unit_conversion_factor - 1.0) <= SAME_UNIT:
+        return
+    code = ":".join(crs.to_authority() or ("EPSG", "2263"))
+    raise InputError(
+        f"the map of {source} is in {axis.unit_name}, and nothing names the unit of its heights, "
+        "which may be the same or the metre; name it in the file (rio edit-info --bidx 1 --units "
+        f"'{axis.unit_name}', or m) or give a CRS with a vertical part (--crs {code}+6360 for US "
+        f"feet, {code}+5703 for metres)"
+    )
 
 
 def _figure_of(crs: CRS) -> str:

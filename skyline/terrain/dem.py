@@ -54,9 +54,9 @@ def read_dem(dem: Dem, options: DemOptions | None = None) -> HeightField:
         An `xarray.DataArray`: heights by two dimensions, ``y, x``, ``lat, lon``, ``latitude,
         longitude`` or ``northing, easting``, in any order, with even coordinates of the samples.
         Further dimensions have one entry. Its grid mapping (CF, as rioxarray writes it) gives the
-        CRS, else ``options.crs``. Its attributes ``_FillValue``, ``missing_value``,
-        ``scale_factor``, ``add_offset``, ``units`` and ``positive`` are applied. An array that
-        rioxarray has opened gives the same heights as its file.
+        CRS, else ``options.crs``. Its attributes ``_FillValue``, ``missing_value``, ``nodata``,
+        ``nodatavals``, ``scale_factor``, ``add_offset``, ``units`` and ``positive`` are applied. An
+        array that rioxarray has opened gives the same heights as its file.
 
         A dataset of one band that rasterio has opened: a file, a `MemoryFile` or a `WarpedVRT`.
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from pyproj import CRS
 
-from skyline.arrays import BoolArray, Float32Array
+from skyline.arrays import BoolArray, Float32Array, Float64Array
 from skyline.errors import InputError, some_of
 from skyline.terrain.datums import ELLIPSOID, GEOID, merged_conventions
 from skyline.terrain.grid import MAX_SAMPLES, STRIP_SAMPLES, Grid, full_turn
@@ -27,9 +27,10 @@ GRID_TOLERANCE = 0.01
 AGREEMENT_M = 1.0
 """Tiles may differ by this much where they overlap or meet, because of rounding to whole metres."""
 
-OTHER_GROUND_M = 60.0
-"""Two models of one ground differ by less at most of their samples: by trees, houses, and errors.
-Rasters of slopes or errors, and heights in another unit or above another datum, differ by more."""
+OTHER_GROUND_M = 30.0
+"""Two models of one ground differ by less at most samples that they share, and at most of their
+border: by trees, houses, and errors. Rasters of slopes or errors, and heights in another unit or
+above another datum, differ by more."""
 
 BORDER_SAMPLES = 64
 """Least length of a border at which steps are searched; along shorter ones, ridges and valleys look
@@ -38,6 +39,11 @@ like steps."""
 STANDARD_ERRORS = 8.0
 """Least height of a step, in its standard errors. A cut through a whole DEM must never be reported
 as a step: tests/unit/test_dem_tiles.py tries some thousands, of 128 samples."""
+
+_CAUSE = (
+    "one of them holds no heights, or heights in another unit or datum: name the files of one model"
+)
+"""Why tiles differ, and what to do, for errors."""
 
 _READERS = 2
 """Tiles that are read at a time, and tiles that wait to be laid."""
@@ -71,8 +77,8 @@ def read_mosaic(tiles: Sequence[Tile]) -> Mosaic:
     are resampled to the finest spacing of longitude.
 
     Raises `InputError` if tiles differ in CRS or spacing, lie off the grid of the first or too far
-    apart, if one has heights above the geoid and another above the ellipsoid, or if a tile overlaps
-    others and has different heights.
+    apart, if one has heights above the geoid and another above the ellipsoid, or if a tile differs
+    from others by more than `OTHER_GROUND_M` at most samples where they overlap or meet.
     """
     _check_vertical(tiles)
     groups = _by_spacing(tiles)
@@ -89,7 +95,7 @@ def _read(tiles: Sequence[Tile]) -> Mosaic:
         borders = _free_borders(heights, row, col, tile.grid)
         place = heights[row : row + tile.grid.rows, col : col + tile.grid.cols][tile.north_up]
         _lay_tile(place, tile, parts)
-        _warn_of_step(borders, tile)
+        _check_step(borders, tile)
     return Mosaic(
         heights,
         ", ".join(tile.source for tile in tiles),
@@ -127,6 +133,7 @@ def _lay_tile(place: Float32Array, tile: Tile, parts: Parts) -> None:
     disagreement_m = 0.0
     shared = 0
     other = 0
+    has_level = False
     for rows, fresh in parts:
         old = place[rows]
         # A height beyond all ground is an undeclared void.
@@ -136,12 +143,13 @@ def _lay_tile(place: Float32Array, tile: Tile, parts: Parts) -> None:
         disagreement_m = max(disagreement_m, float(apart_m.max(initial=0.0)))
         shared += apart_m.size
         other += int(np.count_nonzero(apart_m > OTHER_GROUND_M))
+        has_level |= _is_level(old[both]) or _is_level(fresh[both])
         np.copyto(old, fresh, where=~known)
-    if 2 * other > shared > tile.grid.rows * tile.grid.cols / 2:
+    is_same_area = shared > tile.grid.rows * tile.grid.cols / 2
+    if 2 * other > shared >= BORDER_SAMPLES and (is_same_area or not has_level):
         raise InputError(
-            f"{tile.source} covers the same ground as the tiles before it, and differs from "
-            f"them by more than {OTHER_GROUND_M:g} m at most samples; one of them holds no "
-            "heights, or heights in another unit or datum: name the files of one model"
+            f"{tile.source} covers ground of the tiles before it, and differs from them by more "
+            f"than {OTHER_GROUND_M:g} m at most samples there; {_CAUSE}"
         )
     if disagreement_m > AGREEMENT_M:
         _log.warning(
@@ -151,16 +159,21 @@ def _lay_tile(place: Float32Array, tile: Tile, parts: Parts) -> None:
         )
 
 
-def _warn_of_step(borders: Sequence[tuple[Float32Array, BoolArray]], tile: Tile) -> None:
-    """Warn where a tile just read stands above or below its neighbours."""
+def _check_step(borders: Sequence[tuple[Float32Array, BoolArray]], tile: Tile) -> None:
+    """Warn where a tile just read stands above or below its neighbours.
+
+    Raises `InputError` if it stands far above or below.
+    """
     step_m = max((border_step_m(*border) for border in borders), key=abs, default=0.0)
+    side = "above" if step_m > 0.0 else "below"
+    said = f"{tile.source} stands {abs(step_m):.1f} m {side} the tiles beside it"
+    if abs(step_m) > OTHER_GROUND_M:
+        raise InputError(f"{said}, a wall that no ground makes; {_CAUSE}")
     if step_m:
         _log.warning(
-            "%s stands %.1f m %s the tiles beside it, and the border is a wall; check that all "
-            "have the same datum and unit, and are of one survey",
-            tile.source,
-            abs(step_m),
-            "above" if step_m > 0.0 else "below",
+            "%s, and the border is a wall; check that all have the same datum and unit, and are of "
+            "one survey",
+            said,
         )
 
 
@@ -200,12 +213,16 @@ def border_step_m(lines: Float32Array, is_free: BoolArray) -> float:
     if np.count_nonzero(is_known) < BORDER_SAMPLES:
         return 0.0
     step_m = step_m[is_known]
-    for side in (edge[is_known], beside[is_known]):
-        if np.mean(side == np.median(side)) > 0.5:
-            return 0.0  # A sea, or a void that is not declared
+    if _is_level(edge[is_known]) or _is_level(beside[is_known]):
+        return 0.0
     median_m = float(np.median(step_m))
     error_m = 1.4826 * np.median(np.abs(step_m - median_m)) / math.sqrt(len(step_m))
     return median_m if abs(median_m) > AGREEMENT_M + STANDARD_ERRORS * error_m else 0.0
+
+
+def _is_level(heights: Float64Array | Float32Array) -> bool:
+    """Return whether most heights are equal: a sea, or an undeclared void."""
+    return heights.size > 0 and bool(np.mean(heights == np.median(heights)) > 0.5)
 
 
 def _by_spacing(tiles: Sequence[Tile]) -> list[list[Tile]]:

@@ -8,7 +8,8 @@ a path. `skyline.terrain.mosaic` then reads it, and all commands take it.
 
 import logging
 import math
-from collections.abc import Callable, Iterator, Mapping
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass
 from functools import partial
@@ -26,13 +27,26 @@ from rasterio.transform import Affine
 from rasterio.windows import Window
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array
-from skyline.errors import InputError, library
+from skyline.errors import InputError, SkylineError, library
 from skyline.files import STORE_SCHEMA, archive_of, is_file, on_disk
 from skyline.geodesy.crs import without_vertical
-from skyline.terrain.datums import SAME_UNIT, Vertical, map_conventions, metres_per, vertical_of
+from skyline.terrain.datums import (
+    SAME_UNIT,
+    UNNAMED,
+    Vertical,
+    map_conventions,
+    metres_per,
+    vertical_of,
+)
 from skyline.terrain.dem_files import no_dem
 from skyline.terrain.grid import Grid, row_strips
-from skyline.terrain.raster_files import bands_of, check_whole, filled_share, opened_raster
+from skyline.terrain.raster_files import (
+    bands_of,
+    check_whole,
+    filled_share,
+    opened_raster,
+    unpacked,
+)
 
 UNDECLARED_VOIDS = (-32768.0, -9999.0)
 """Values that mark a void in DEMs that do not declare them as nodata."""
@@ -43,6 +57,15 @@ degrees are not exact."""
 
 _DIMS = (("y", "x"), ("lat", "lon"), ("latitude", "longitude"), ("northing", "easting"))
 """Names of the dimensions of rows and columns."""
+
+_UNIT_TAGS = ("units", "unit", "unittype")
+"""Names of the tags or attributes, in lower case, in which programs note the unit of heights."""
+
+_VOID_ATTRS = ("_FillValue", "missing_value", "nodata", "nodatavals")
+"""Attributes of arrays that give the value of voids: CF's, and those of odc-geo and of xarray's
+former reader of rasters."""
+_ZUNITS = re.compile(r"^\s*Zunits\s+(\S+)", re.IGNORECASE | re.MULTILINE)
+"""The line of an ArcInfo ``.prj`` that names the unit of heights."""
 
 _log = logging.getLogger(__name__)
 
@@ -112,15 +135,16 @@ def array_tile(array: Any, default_crs: CRS | None) -> Tile:
             _check_unit(source, dim, str(array.coords[dim].attrs.get("units", "")), crs)
     transform = _transform_of_array(source, array, (y, x), mapping.get("GeoTransform"), crs)
     grid, north_up = _grid_of(source, transform, (array.sizes[y], array.sizes[x]))
-    vertical = vertical_of(source, crs, str(attrs.get("units", "")), str(attrs.get("positive", "")))
+    unit = str(attrs.get("units", "")) or _tagged_unit(attrs)
+    vertical = vertical_of(source, crs, unit, str(attrs.get("positive", "")))
     on_map = _on_map(source, crs)
     band = np.asarray(array.transpose(y, x, ...).values).reshape(grid.rows, grid.cols)
     # xarray moves attributes to the encoding once it has applied them.
     scale = float(attrs.get("scale_factor", 1.0))
     offset = float(attrs.get("add_offset", 0.0))
     metres = vertical.metres_per_unit
-    named = (np.ravel(attrs[name]) for name in ("_FillValue", "missing_value") if name in attrs)
-    void_values = [value for values in named for value in values.tolist()]
+    named = (np.ravel(attrs[name]) for name in _VOID_ATTRS if name in attrs)
+    void_values = [value for values in named for value in values.tolist() if value is not None]
 
     def read() -> Iterator[tuple[slice, Float32Array]]:
         for rows in row_strips(band):
@@ -154,8 +178,11 @@ def _tile_of(
         for name, unit in dataset.tags().items():
             if name in {f"{dim}#units" for dims in _DIMS for dim in dims}:
                 _check_unit(source, name.removesuffix("#units"), unit, crs)
-        positive = dataset.tags(band).get("positive", "up")
-        vertical = vertical_of(source, crs, dataset.units[band - 1] or "", positive)
+        tags = dataset.tags() | dataset.tags(band)
+        unit = dataset.units[band - 1] or _tagged_unit(tags) or _unit_beside(dataset.files)
+        vertical = vertical_of(source, crs, unit, tags.get("positive", "up"))
+        if dataset.driver == "VRT" and vertical.unit == UNNAMED:
+            _check_parts(source, dataset.files[1:], default_crs)
         nodata_value = dataset.nodatavals[band - 1]
         nodata = "none declared" if nodata_value is None else f"{nodata_value:g}"
         if alpha is not None or MaskFlags.per_dataset in dataset.mask_flag_enums[band - 1]:
@@ -184,6 +211,50 @@ def _tile_of(
                 yield rows, _heights_of(source, values.data, voids, scale, offset, metres)
 
     return Tile(source, on_map, grid, north_up, vertical, conventions, read, files)
+
+
+def _check_parts(source: str, parts: Sequence[str], default_crs: CRS | None) -> None:
+    """Raise `InputError` if a virtual raster has lost its parts' unit.
+
+    `gdalbuildvrt` copies neither a band's unit nor, often, the vertical part of a CRS. The first
+    part that is a tile speaks for all.
+    """
+    for part in parts:
+        with suppress(SkylineError):
+            other = open_tile(part, default_crs).vertical
+            break
+    else:
+        return
+    if abs(other.metres_per_unit) != 1.0:
+        raise InputError(
+            f"{source} names no unit of heights, and its part {part} has heights in {other.unit}; "
+            f"name the unit in both (rio edit-info --bidx 1 --units '{other.unit.split(',')[0]}' "
+            f"{source}), or give the parts"
+        )
+
+
+def _tagged_unit(tags: Mapping[str, Any]) -> str:
+    """Return the unit of length in tags, or "".
+
+    rioxarray writes an array's attributes as tags of its file, and none as the band's unit. A tag
+    that names anything else than a length is not about heights.
+    """
+    named = (str(tags[name]) for name in tags if str(name).casefold() in _UNIT_TAGS)
+    return next((unit for unit in named if metres_per(unit)), "")
+
+
+def _unit_beside(files: Sequence[str]) -> str:
+    """Return the unit of length in a raster's ``.prj``, or "".
+
+    Of one in ArcInfo's old form, as of the USGS's tiles, GDAL reads the map alone.
+    """
+    for name in files:
+        if name.lower().endswith(".prj") and (is_file(name) or archive_of(name)):
+            with unpacked(name) as content:
+                found = _ZUNITS.search(content.read().decode("latin-1"))
+            if found and metres_per(found[1]):
+                return found[1]
+    return ""
 
 
 def _height_band(source: str, dataset: Any) -> tuple[int, int | None]:

@@ -62,7 +62,8 @@ class RepairRules:
     wall_reach_samples: int = 3
     """Greatest distance of a wall from the rim, in samples: cubic resampling spreads a wall."""
     ground_m: tuple[float, float] = GROUND_M
-    """Lowest and highest ground of the world; a warning names heights beyond."""
+    """Lowest and highest ground of the world. A model with higher samples is refused, and a warning
+    names lower ones."""
     strip_samples: int = STRIP_SAMPLES
     """Samples of a strip of rows; more cost memory, and change nothing else."""
 
@@ -91,7 +92,7 @@ def repair(
     """Turn fill into voids, remove spikes, and close small voids.
 
     Afterwards NaN marks every hole. ``source`` is the name of the DEM in errors and warnings.
-    Raises `InputError` if there are no heights at all.
+    Raises `InputError` if there are no heights at all, or some above all ground.
     """
     undeclared, values_m = void_undeclared(heights_m, spacing_m, rules)
     if values_m:
@@ -113,7 +114,7 @@ def repair(
 
 
 def _check_range(heights_m: Float32Array, source: str, rules: RepairRules) -> None:
-    """Raise `InputError` without heights; warn of impossible ones."""
+    """Raise `InputError` without heights, or above all ground; warn of sea beds."""
     lowest_m = np.inf
     highest_m = -np.inf
     for rows in row_strips(heights_m, rules.cached_samples):
@@ -126,11 +127,10 @@ def _check_range(heights_m: Float32Array, source: str, rules: RepairRules) -> No
             "the file and its nodata value"
         )
     if highest_m > rules.ground_m[1]:
-        _log.warning(
-            "%s has heights of up to %.0f m, more than any ground on Earth; name the unit of its "
-            "heights, or its nodata value (rio edit-info)",
-            source,
-            highest_m,
+        raise InputError(
+            f"{source} has heights of up to {highest_m:.0f} m, more than any ground on Earth; if "
+            "they are in feet, name the unit (rio edit-info --bidx 1 --units ft), and if the "
+            f"greatest mark voids, the nodata value (rio edit-info --nodata {highest_m:g})"
         )
     if lowest_m < rules.ground_m[0]:
         _log.warning(

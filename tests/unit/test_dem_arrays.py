@@ -87,10 +87,20 @@ def test_units_scale_and_cf_grid_mappings_are_heeded():
     feet = array_of().assign_attrs(units="ft", scale_factor=0.5, add_offset=10.0)
     field = read_dem(feet, UTM)
     np.testing.assert_allclose(field.heights_m, (array_of() * 0.5 + 10.0) * 0.3048, rtol=1e-6)
-    named = array_of().assign_attrs(missing_value=array_of().values.ravel()[[0, 7]])
-    assert read_dem(named, UTM).provenance.filled >= 2
+    values = array_of().values.ravel()[[0, 7]]
+    for name in ("missing_value", "nodata", "nodatavals"):
+        named = array_of().assign_attrs({name: values})
+        assert read_dem(named, UTM).provenance.filled >= 2
+    assert read_dem(array_of().assign_attrs(nodatavals=(None,)), UTM).provenance.filled == 0
     mapping = CRS.from_epsg(32632).to_cf()
     crs = xarray.DataArray(0, attrs={name: mapping[name] for name in mapping if name != "crs_wkt"})
     mapped = array_of().assign_coords(utm=crs).assign_attrs(grid_mapping="utm")
     lonlat_deg = read_dem(mapped).frame.to_lonlat(6e5, 5.18e6)
     np.testing.assert_allclose(lonlat_deg, field.frame.to_lonlat(6e5, 5.18e6), atol=1e-9)
+
+
+def test_a_file_that_rioxarray_writes_keeps_the_unit_and_the_sense(tmp_path):
+    array = array_of().rio.write_crs("EPSG:32632").assign_attrs(units="ft", positive="down")
+    array.rio.to_raster(tmp_path / "dem.tif")
+    for given in (array, tmp_path / "dem.tif"):
+        np.testing.assert_allclose(read_dem(given).heights_m, array * -0.3048, rtol=1e-6)

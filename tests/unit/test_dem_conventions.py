@@ -65,7 +65,7 @@ def warped(path, crs, place, **profile):
         source.astype(np.float32), made, src_transform=transform, src_crs="EPSG:4326",
         dst_transform=target, dst_crs=crs, dst_nodata=np.nan, resampling=Resampling.cubic,
     )  # fmt: skip
-    return write_dem(path, made, crs, transform=target, GEOTIFF_VERSION="1.1", **profile)
+    return in_unit(path, "m", made, crs, transform=target, GEOTIFF_VERSION="1.1", **profile)
 
 
 def true_azimuth_deg(frame, east, north, grid_azimuth_deg):
@@ -123,6 +123,33 @@ def test_heights_are_in_the_unit_of_the_band(tmp_path, unit, metres):
     np.testing.assert_allclose(read_dem(path).heights_m, heights_m, rtol=3e-7)
 
 
+@pytest.mark.parametrize("name", ["units", "UNITTYPE"])
+@pytest.mark.parametrize("bands", [(), (1,)])
+def test_a_band_without_a_unit_has_that_of_a_tag(tmp_path, name, bands):
+    path = write_dem(tmp_path / "dem.tif", np.full((3, 3), 1000.0, np.float32))
+    with rasterio.open(path, "r+") as dataset:
+        dataset.update_tags(*bands, **{name: "feet"})
+    np.testing.assert_allclose(read_dem(path).heights_m, 304.8, rtol=1e-6)
+
+
+@pytest.mark.parametrize(("unit", "metres"), [("FEET", 0.3048), ("METERS", 1.0), ("NO", 1.0)])
+def test_an_arcinfo_projection_names_the_unit_of_heights(tmp_path, unit, metres):
+    path = tmp_path / "dem.asc"
+    header = "ncols 3\nnrows 3\nxllcorner 500000\nyllcorner 5000000\ncellsize 30\n"
+    path.write_text(header + "1000 1000 1000\n" * 3)
+    path.with_suffix(".prj").write_text(
+        f"Projection UTM\nZone 32\nDatum WGS84\nZunits {unit}\nUnits METERS\nParameters\n"
+    )
+    np.testing.assert_allclose(read_dem(path).heights_m, 1000.0 * metres, rtol=1e-6)
+
+
+def test_a_tag_that_names_no_length_is_not_about_heights(tmp_path):
+    path = write_dem(tmp_path / "dem.tif", np.full((3, 3), 1000.0, np.float32))
+    with rasterio.open(path, "r+") as dataset:
+        dataset.update_tags(units="degrees")
+    np.testing.assert_array_equal(read_dem(path).heights_m, 1000.0)
+
+
 @pytest.mark.parametrize(("datum", "metres"), [(5783, 1.0), (6360, US_FOOT_M), (6358, -US_FOOT_M)])
 @pytest.mark.parametrize("version", ["1.0", "1.1"])
 def test_a_band_without_a_unit_has_that_of_the_vertical_axis(tmp_path, datum, metres, version):
@@ -134,12 +161,34 @@ def test_a_band_without_a_unit_has_that_of_the_vertical_axis(tmp_path, datum, me
 
 def test_a_map_in_feet_that_names_no_unit_of_heights(tmp_path, caplog):
     path = in_feet(tmp_path / "dem.tif")
-    assert read_dem(path).height_range_m == (1000.0, 1000.0)
-    assert len(caplog.records) == 1
-    caplog.clear()
-    with_vertical = read_dem(path, DemOptions(crs="EPSG:2227+6360"))
-    assert with_vertical.height_range_m[0] == pytest.approx(1000.0 * US_FOOT_M)
+    with pytest.raises(InputError):
+        read_dem(path)
+    for datum, metres in ((6360, US_FOOT_M), (5703, 1.0)):
+        with_vertical = read_dem(path, DemOptions(crs=f"EPSG:2227+{datum}"))
+        assert with_vertical.height_range_m[0] == pytest.approx(1000.0 * metres)
     assert not caplog.records
+
+
+@pytest.mark.parametrize(("unit", "is_read"), [("", True), ("m", True), ("ft", False)])
+def test_a_virtual_raster_that_has_lost_its_part_s_unit_is_refused(tmp_path, unit, is_read):
+    in_unit(tmp_path / "part.tif", unit, np.full((3, 3), 1000.0, np.float32))
+    with rasterio.open(tmp_path / "part.tif") as part:
+        wkt, place = part.crs.to_wkt(), ", ".join(map(str, part.transform.to_gdal()))
+    path = tmp_path / "whole.vrt"
+    path.write_text(
+        f"""<VRTDataset rasterXSize="3" rasterYSize="3"><SRS>{wkt}</SRS>
+        <GeoTransform>{place}</GeoTransform><VRTRasterBand dataType="Float32" band="1">
+        <SimpleSource><SourceFilename relativeToVRT="1">part.tif</SourceFilename>
+        <SourceBand>1</SourceBand></SimpleSource></VRTRasterBand></VRTDataset>"""
+    )
+    if is_read:
+        np.testing.assert_array_equal(read_dem(path).heights_m, 1000.0)
+    else:
+        with pytest.raises(InputError, match=r"names no unit of heights, and its part .* in ft"):
+            read_dem(path)
+        with rasterio.open(path, "r+") as dataset:
+            dataset.units = ["ft"]
+        np.testing.assert_allclose(read_dem(path).heights_m, 304.8, rtol=1e-6)
 
 
 def test_depths_become_negative_heights(tmp_path):

@@ -95,7 +95,7 @@ def test_tiles_of_a_degree_are_read_in_archives(tmp_path, archive, member):
     heights = (700.0 + np.add.outer(np.arange(1201), np.arange(1201)) / 8.0).astype(">i2")
     (tmp_path / "N46E009.hgt").write_bytes(heights.tobytes())
     with zipfile.ZipFile(tmp_path / archive, "w") as made:
-        made.writestr(member, heights.tobytes())
+        made.writestr(member, heights[:, ::-1].tobytes())
     field = read_dem(tmp_path)
     west, _, east_deg, _ = field.box_deg
     assert (west, east_deg) == (pytest.approx(9.0, abs=0.02), pytest.approx(11.0, abs=0.02))

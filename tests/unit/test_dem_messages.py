@@ -210,6 +210,24 @@ class TestRasters:
         assert_says(f"are in {unit!r}", lambda: read_dem(path))
 
     @pytest.mark.parametrize(
+        ("col", "said"), [(80, r"stands 4\d\.\d m above the tiles beside"), (78, "more than 30 m")]
+    )
+    def test_in_tiles_of_other_ground(self, tmp_path, col, said):
+        paths = rough_tiles(tmp_path, 0, col, 47.0)
+        assert_says(f"{said}.*another unit or datum", lambda: read_dem(paths))
+
+    def test_above_all_ground(self, tmp_path):
+        path = write_dem(tmp_path / "dem.tif", np.where(mountains() > 1500.0, 9999.0, mountains()))
+        assert_says("up to 9999 m, more than any .* --nodata 9999", lambda: read_dem(path))
+
+    def test_whose_unit_is_ambiguous(self, tmp_path):
+        said = r"is in US survey foot, and nothing names .*--crs EPSG:2227\+6360 for US feet"
+        assert_says(said, lambda: read_dem(in_feet(tmp_path / "feet.tif")))
+        both = in_unit(tmp_path / "both.tif", "m", np.ones((2, 2), np.float32), f"{UTM}+6360")
+        said = "in m by the band and in US survey foot by the vertical axis"
+        assert_says(said, lambda: read_dem(both))
+
+    @pytest.mark.parametrize(
         ("crs", "corner", "said"),
         [
             ('LOCAL_CS["mine",UNIT["metre",1]]', (0.0, 0.0), "expected a geographic or projected"),
@@ -248,7 +266,7 @@ class TestTiles:
     def test_under_a_raster_of_other_values(self, folder):
         east(folder / "b.tif")
         east(folder / "c_slope.tif", np.full((SIZE, SIZE), 30.0, np.float32))
-        said = r"c_slope\.tif covers the same ground as .* name the"
+        said = r"c_slope\.tif covers ground of .* name the"
         assert_says(said, lambda: read_dem(folder))
 
 
@@ -415,10 +433,7 @@ class TestWarnings:
         assert "south" in caplog.text
         assert "is warped to the local conformal frame" in caplog.text
 
-    def test_heights_whose_unit_or_sense_is_assumed(self, tmp_path, caplog):
-        read_dem(in_feet(tmp_path / "feet.tif"))
-        said = "is the US survey foot and none is named for heights; metres are assumed"
-        assert said in caplog.text
+    def test_heights_whose_sense_is_assumed(self, tmp_path, caplog):
         read_dem(depths(tmp_path / "depths.tif"))
         assert "values are depths, positive downward" in caplog.text
 
@@ -458,11 +473,10 @@ class TestWarnings:
         read_dem(rough_tiles(tmp_path, row, col, 0.0))
         assert caplog.messages == []
 
-    def test_fill_and_heights_of_no_ground(self, tmp_path, caplog):
+    def test_fill_and_sea_beds(self, tmp_path, caplog):
         heights = mountains()
         for values, said in (
             (np.where(np.arange(200) < 30, np.float32(0.0), heights), "exactly 0 m"),
-            (10.0 * heights, "more than any ground on Earth"),
             (heights - 3000.0, "the bed of a sea"),
         ):
             read_dem(write_dem(tmp_path / "dem.tif", values))

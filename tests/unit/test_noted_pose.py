@@ -41,6 +41,12 @@ def test_what_a_record_does_not_have_is_level_and_undistorted():
     )
 
 
+def test_other_names_beside_those_that_are_read_are_ignored():
+    record = LEAST | {"pitch": 4, "pitch_deg": 4, "elevation_m": 2400, "eye_height_m": 2, "f": 1}
+    noted = NotedPose.from_dict(record, LENS)
+    assert (noted.pitch_deg, noted.eye_height_m, noted.eye_elevation_m) == (4.0, 2.0, None)
+
+
 def test_a_record_of_another_projection_is_refused():
     fisheye = LEAST | {"projection": "fisheye"}
     assert NotedPose.from_dict(fisheye, Projection.FISHEYE).fov_deg == 60.0

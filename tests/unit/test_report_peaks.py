@@ -10,6 +10,7 @@ from scenes import FRAME, candidate_at, field_from
 
 from skyline.errors import InputError, OffMapError
 from skyline.geodesy.earth import Curvature
+from skyline.geodesy.map_frame import Frame
 from skyline.peaks import Peaks, Sighting, read_peaks, visible_peaks
 from skyline.photo.skyline import PhotoSkyline
 from skyline.terrain.viewpoints import stand_on
@@ -162,6 +163,18 @@ def test_geojson_in_metres_is_refused_and_in_degrees_of_any_datum_read(tmp_path)
     path.write_text(json.dumps(read))
     with pytest.raises(InputError):
         read_peaks(path, FRAME)
+
+
+def test_degrees_of_another_datum_are_carried_to_wgs_84(tmp_path):
+    """In Tokyo's datum of 1918 the same degrees are 460 m farther north-west."""
+    read = json.loads(geojson_of(tmp_path / "peaks.geojson", [3776]).read_text())
+    read["features"][0]["geometry"]["coordinates"] = [138.7306, 35.3574]
+    read["crs"] = {"type": "name", "properties": {"name": "urn:ogc:def:crs:EPSG::4301"}}
+    (tmp_path / "peaks.geojson").write_text(json.dumps(read))
+    frame = Frame.local(lon=138.7306, lat=35.3574)
+    peaks = read_peaks(tmp_path / "peaks.geojson", frame)
+    east_m, north_m = float(peaks.easting_m[0]), float(peaks.northing_m[0])
+    assert (east_m, north_m) == (pytest.approx(-285.0, abs=25.0), pytest.approx(360.0, abs=25.0))
 
 
 @pytest.mark.parametrize("ele", ["14,505 ft", "1200;1210", '12"', "nan", "18941", True])

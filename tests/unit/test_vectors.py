@@ -119,6 +119,16 @@ def test_shapes_of_simple_svg(read):
     np.testing.assert_array_equal(found.shapes[-1].rings[0], [[4.5, 5.5]])
 
 
+def test_an_svg_s_own_corner_and_what_it_does_not_draw_are_left_out(read):
+    found = read(
+        "a.svg",
+        """<svg viewBox="100 50 640 480"><defs><clipPath><rect width="9" height="9"/></clipPath>
+        </defs><polygon points="110,70 130,70 130,90 110,90"/></svg>""",
+    )
+    (only,) = found.shapes
+    np.testing.assert_array_equal(only.rings[0], PIXELS)
+
+
 GPX = """<gpx xmlns="http://www.topografix.com/GPX/1/1"><wpt lat="46" lon="9"><name>A</name></wpt>
 <trk><name>B</name><trkseg><trkpt lat="46" lon="9"/><trkpt lat="46.1" lon="9.1"/></trkseg>
 <trkseg><trkpt lat="47" lon="9"/><trkpt lat="47.1" lon="9.1"/></trkseg></trk></gpx>"""
@@ -148,6 +158,11 @@ def test_waypoints_and_segments_of_gpx(read):
         ("a.json", {"shapes": [{"points": SQUARE, "shape_type": "mask"}]}),
         ("a.svg", "<svg><path d='M0 0C1 1 2 2 3 3'/></svg>"),
         ("a.svg", "<svg><g transform='scale(2)'><rect width='3' height='3'/></g></svg>"),
+        ("a.svg", "<svg><svg x='5'><rect width='3' height='3'/></svg></svg>"),
+        ("a.svg", "<svg><use x='5' href='#a'/><rect id='a' width='3' height='3'/></svg>"),
+        ("a.svg", "<svg><rect x='10%' width='3' height='3'/></svg>"),
+        ("a.svg", "<svg><rect x='1mm' width='3' height='3'/></svg>"),
+        ("a.svg", "<svg><polyline points='1,2 3'/></svg>"),
         ("a.svg", "<svg"),
         ("a.gpx", "<gpx><wpt lat='46'/></gpx>"),
     ],
