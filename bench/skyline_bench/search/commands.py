@@ -142,7 +142,8 @@ class Search:
         with_grids = list[BuiltStore]()
         for store in stores:
             with_grids.append(store)
-            if store.is_plan and not any(store.is_held_to(one) for one in stores):
+            known = (*stores, *with_grids)
+            if store.is_plan and not any(store.is_held_to(one) for one in known):
                 grid = equal_grid(store, terrain, bounds_deg)
                 with_grids.append(grid.build(terrain, folder, bounds_deg, progress))
         return with_grids
