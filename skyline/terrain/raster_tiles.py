@@ -21,7 +21,7 @@ import rasterio
 from numpy.typing import NDArray
 from pyproj import CRS
 from pyproj.exceptions import CRSError
-from rasterio.enums import MaskFlags
+from rasterio.enums import ColorInterp, MaskFlags
 from rasterio.io import DatasetReaderBase
 from rasterio.transform import Affine
 from rasterio.windows import Window
@@ -274,6 +274,14 @@ def _height_band(source: str, dataset: Any) -> tuple[int, int | None]:
             f"{source} has {dataset.count} bands; a DEM has one band of heights: extract it "
             "(gdal_translate -b N), and decode heights kept as colours"
         )
+    band = bands[0]
+    # Where values have more than 8 bits, a palette only colours the heights.
+    is_indexed = dataset.colorinterp[band - 1] is ColorInterp.palette
+    if is_indexed and dataset.dtypes[band - 1] == "uint8":
+        raise InputError(
+            f"{source} holds colours of a palette, as a picture, a scanned map or land cover does; "
+            "expected heights: if its numbers are metres, say so (gdal_edit.py -colorinterp_1 gray)"
+        )
     is_text = dataset.driver == "XYZ" and is_file(on_disk(source))
     # With less than a ninth of the grid filled, a sample may have no neighbour.
     if is_text and filled_share(source, dataset) < 1.0 / 9.0:
@@ -282,7 +290,7 @@ def _height_band(source: str, dataset: Any) -> tuple[int, int | None]:
             f"{dataset.width}; expected x, y and z row by row on a grid: interpolate them to a "
             "raster (gdal_grid)"
         )
-    return bands[0], alpha
+    return band, alpha
 
 
 def _heights_of(

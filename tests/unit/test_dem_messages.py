@@ -168,6 +168,12 @@ class TestRasters:
         path = write_dem(tmp_path / "a.tif", heights, **options)
         assert_says(said, lambda: read_dem(path, DemOptions(crs=crs)))
 
+    def test_of_a_palette(self, tmp_path):
+        path = write_dem(tmp_path / "map.tif", np.ones((9, 9), np.uint8))
+        with rasterio.open(path, "r+") as dataset:
+            dataset.write_colormap(1, {1: (0, 90, 0)})
+        assert_says("colours of a palette", lambda: read_dem(path))
+
     def test_of_colours_with_an_alpha_band(self, tmp_path):
         assert_says("has 4 bands", lambda: read_dem(colours(tmp_path / "a.tif")))
 
