@@ -28,7 +28,7 @@ COMMANDS = {
     "horizon": (("{dem}", "--at", "{at}"), "horizon.read_terrain"),
     "sun": (("{dem}", "--at", "{at}", "--date", "2026-06-21"), "sun.read_terrain"),
     "panorama": (("{dem}", "--at", "{at}", "-o", "{out}.png"), "panorama.read_terrain"),
-    "match": (("{store}", "{trace}", "--matcher", "unrefined"), "tasks.match.Matcher"),
+    "match": (("{store}", "{trace}", "--matcher", "unrefined"), "tasks.match.match_here"),
     "label": ((*POSED, "--peaks", "{peaks}", "-o", "{out}.png"), "tasks.label.read_terrain"),
     "pixels": ((*POSED, "--step", "40", "-o", "{out}.npz"), "tasks.pixels.read_terrain"),
     "cross": (
