@@ -288,7 +288,8 @@ def test_a_probability_is_measured(run, dem, store):
 
 
 def test_a_plan_is_held_to_the_grid_of_as_many_places():
-    alike = {"group": "all", "matcher": "full", "queries": "plain", "search": "all", "n": 4}
+    about = {"group": "all", "matcher": "full", "queries": "plain", "search": "all"}
+    alike = {**about, "km2": 50.0, "n": 4}
     grids = [
         {**alike, "store": f"grid {number}", "planner": "uniform", "renderings": number}
         for number in (50, 108, 400)

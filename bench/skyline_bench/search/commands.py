@@ -46,7 +46,7 @@ _FOUND = "km2 n within_200m within_1km median_m mean_m answered precision query_
 _QUICK_M = 3000.0
 """Sides of the square that is searched by default with ``--quick``."""
 _QUICK_QUERIES = 3
-AGAINST_EQUAL = """store uniform matcher queries n gain_points half_points=95_%:_±_points
+AGAINST_EQUAL = """store uniform matcher queries km2 n gain_points half_points=95_%:_±_points
     error_ratio"""
 _HELP_COLUMNS = 78
 """Help keeps the lines of later paragraphs, and terminals have 80 columns."""

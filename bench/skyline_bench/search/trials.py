@@ -299,7 +299,7 @@ def against_equal(rows: Sequence[Row]) -> list[Row]:
         grid = as_large(plan, rows)
         if grid is not None:
             gain, half = gain_points(plan, grid)
-            about = {name: plan[name] for name in ("store", *_SAME, "n")}
+            about = {name: plan[name] for name in ("store", *_SAME, "km2", "n")}
             held.append(
                 {
                     **about,
