@@ -11,7 +11,7 @@ from skyline.geodesy.bounds import are_degrees
 from skyline.pose_errors import WARP
 
 _NEEDED = ("lon", "lat", "heading_deg", "fov_deg")
-"""What a record of a pose must have for `NotedPose.from_dict`."""
+"""Keys that `NotedPose.from_dict` needs."""
 _HEIGHTS = ("eye_elevation_m", "eye_height_m")
 """The names of an eye's height, of which a record has at most one."""
 _OPTIONAL = ("pitch_deg", "roll_deg", "distortion", *_HEIGHTS)
@@ -35,7 +35,7 @@ EXPECTED_RECORD = (
     "expected JSON as `skyline match --json` or `skyline orient --json` prints it, or a record "
     f"with {', '.join(_NEEDED)}"
 )
-"""What a record of a pose is, for errors."""
+"""The form of a record that errors ask for."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -439,20 +439,22 @@ def _surest(skylines: Sequence[Orientation]) -> Orientation:
     """
     surest = max(skylines, key=lambda found: found.confidence)
     best = surest.pose
-    rivals = {
-        found.confidence: found.pose
+    rivals = [
+        (found.confidence, found.pose.heading_deg)
         for found in skylines
         if best and found.pose and found.pose.turn_deg(best) > _SEARCH.apart_deg
-    }
-    sure = confidence.beside_rivals(surest.confidence, rivals)
+    ]
+    if not rivals:
+        return surest
+    sure = confidence.beside_rivals(surest.confidence, (one for one, _ in rivals))
     surest = replace(surest, confidence=sure)
     if surest.answer is None or sure >= LEAST_CONFIDENCE:
         return surest
-    rival = rivals[max(rivals)]
+    _, heading_deg = max(rivals)
     return replace(
         surest,
-        refusal=f"{_too_unsure(sure)}; a heading of {rival.heading_deg:.0f} degrees fits another "
-        "skyline that the photo may have",
+        refusal=f"{_too_unsure(sure)}; a heading of {heading_deg:.0f} degrees fits another skyline "
+        "that the photo may have",
         lacks_confidence_only=True,
     )
 

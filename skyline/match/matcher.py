@@ -284,7 +284,7 @@ class Matcher(Closeable):
         narrowing: Narrowing | None,
         report_progress: StepProgress,
     ) -> _Found:
-        """Return what a search for a skyline finds; raises as `match`."""
+        """Search for one skyline of a photo; raises as `match`."""
         refusal = too_little(skyline)
         if refusal is not None:
             return _Found(skyline, refusal)
@@ -463,7 +463,7 @@ class Matcher(Closeable):
     def _findings(
         self, result: MatchResult | JointResult, report_progress: StepProgress
     ) -> Findings:
-        """Return what a search tells of all places, which are compared once more."""
+        """Compare all places with the photos of a result once more."""
         photos, candidates = _searched(result)
         known = [self._rays_and_prior(skyline, narrowing) for skyline, narrowing in photos]
         fitted, places = self._method.likely_places(known, report_progress)
@@ -645,7 +645,7 @@ def _without_search(pose: Pose, refusal: str | None) -> Pose:
 
 @dataclass(frozen=True, slots=True)
 class _Found:
-    """What the search for one skyline of a photo found."""
+    """One skyline of a photo, and the candidates found for it."""
 
     skyline: PhotoSkyline
     refusal: str | None

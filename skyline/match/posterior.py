@@ -116,7 +116,7 @@ class AlikePlaces(Rows):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Findings:
-    """What a search tells about where a photo was taken.
+    """The poses and places that a posterior is made of.
 
     Attributes
     ----------

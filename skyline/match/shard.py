@@ -50,7 +50,7 @@ class Turns(Rows):
     grid_heading_deg: Float64Array
     """(N, C) float64. From grid north."""
     fov: IntArray
-    """(N, C) intp. Index of the field of view among those of the screen."""
+    """(N, C) intp. Index into the screen's fields of view."""
     score: Float32Array
     """(N, C) float32. Score of the turn; -inf where there is none."""
 

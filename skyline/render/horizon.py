@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from skyline.arrays import Int64Array
-from skyline.errors import ContextError, InputError
+from skyline.errors import InputError, SkylineError
 from skyline.geodesy.earth import Curvature
 from skyline.render.context import RenderThread
 from skyline.render.field_windows import GpuLimits
@@ -154,7 +154,7 @@ class RenderedScene:
     def _load(self) -> None:
         for renderer in self._renderers:
             # What fails here fails again, and is raised, when the scene renders.
-            with suppress(ContextError, OSError, MemoryError):
+            with suppress(SkylineError, OSError, MemoryError):
                 self._run(renderer.load)
 
     def _run(self, task: Callable[[], _T], urgent: bool = False) -> _T:

@@ -111,8 +111,8 @@ def vertical_of(source: str, crs: CRS, band_unit: str, positive: str) -> Vertica
     ``positive`` is ``"down"`` for depths, as CF writes it; an axis that points down has the same
     effect. ``source`` is the raster's name in errors.
 
-    Raises `InputError` where the band's unit is not a known unit of length or not that of the
-    axis, and where only the map names a unit, which is not the metre.
+    Raises `InputError` if the band names an unknown unit of length, if the band and the axis name
+    different units, and if neither names one and the map is not in metres.
     """
     axis = next((axis for axis in crs.axis_info if axis.direction in ("up", "down")), None)
     notes = []

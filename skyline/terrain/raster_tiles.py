@@ -246,7 +246,7 @@ def _tagged_unit(tags: Mapping[str, Any]) -> str:
 def _unit_beside(files: Sequence[str]) -> str:
     """Return the unit of length in a raster's ``.prj``, or "".
 
-    Of one in ArcInfo's old form, as of the USGS's tiles, GDAL reads the map alone.
+    GDAL reads only the map from a ``.prj`` in ArcInfo's old form, which tiles of the USGS have.
     """
     for name in files:
         if name.lower().endswith(".prj") and (is_file(name) or archive_of(name)):

@@ -22,7 +22,7 @@ _WORKERS = {"photos": 2, "strokes": 2, "matches": 3, "live": 4, "files": 1}
 
 
 class Engine:
-    """Areas for many sessions: the given one, or those of the photos.
+    """The areas in which the photos of all sessions are searched.
 
     Raises `SkylineError` if the stores, their DEM or the gazetteer cannot be used.
 

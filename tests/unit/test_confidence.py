@@ -109,3 +109,10 @@ def test_poses_near_one_another_share_one_probability_and_others_the_rest():
     worse = retrieved([0.0, 5000.0, 9000.0], [3.0, 203.0, np.inf])
     near, _ = confidence.shared_probabilities(models, worse, {"any": np.zeros(3)})
     assert near == pytest.approx([0.5, 0.0, 0.0], abs=1e-9)
+
+
+def test_the_odds_of_rivals_count_against_a_pose():
+    # Odds of 4 and of 1: four parts for the pose, one for its rival, and one for neither.
+    assert confidence.beside_rivals(0.8, [0.5]) == pytest.approx(4.0 / 6.0)
+    assert confidence.beside_rivals(0.8, []) == pytest.approx(0.8)
+    assert confidence.beside_rivals(0.8, [0.5, 0.5]) == pytest.approx(4.0 / 7.0)

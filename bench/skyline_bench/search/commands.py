@@ -237,7 +237,10 @@ def _planned(*numbers: int | None) -> list[StoreSpec]:
 
 
 def _few(stores: Sequence[StoreSpec]) -> list[StoreSpec]:
-    """Return the first store of each planner and kind; no grid beside a plan."""
+    """Return the first store of each planner and kind.
+
+    A plan's own grid is built with it, so no other grid is searched beside a plan.
+    """
     first = {(spec.planner, spec.holds): spec for spec in reversed(stores)}
     planned = {holds for planner, holds in first if planner != UNIFORM}
     return [

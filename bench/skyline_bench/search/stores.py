@@ -178,7 +178,7 @@ class BuiltStore:
 
     @property
     def is_plan(self) -> bool:
-        """Whether a planner chose its places, and chooses them again elsewhere."""
+        """Whether it was built here from a plan."""
         return self.spec.path is None and self.spec.planner != UNIFORM
 
     def is_held_to(self, other: "BuiltStore") -> bool:
@@ -196,7 +196,7 @@ class BuiltStore:
 
 
 def are_as_many(places: float, others: float) -> bool:
-    """Return whether two stores are equally large, to a tenth."""
+    """Return whether two numbers of places differ by a tenth at most."""
     return abs(math.log(places / others)) < _AS_MANY
 
 
