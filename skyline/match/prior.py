@@ -424,32 +424,35 @@ class Prior:
     narrowing: Narrowing = Narrowing()
     frame: Frame | None = None
     """None only for a prior without a narrowing."""
-    circle_m: tuple[float, float, float] | None = None
-    """Circle around the narrowing's place: easting, northing and radius."""
+    circles_m: tuple[tuple[float, float, float], ...] = ()
+    """Circles around the narrowing's place and of the surroundings: easting, northing, radius."""
     rectangle_m: Rectangle | None = None
     """Rectangle that contains the narrowing's bounds."""
     noted: PlacePrior | None = None
     """Prior from the photo's EXIF."""
     exif: NotedPlace | None = None
     """The EXIF that ``noted`` is from."""
-    is_near_noted: bool = False
-    """Whether a searched place lies in the surroundings of the noted one."""
+    surroundings: tuple[float, float, float] | None = None
+    """Where a part of the search looks: longitude and latitude, degrees, and a radius, km."""
 
     @classmethod
-    def of(cls, narrowing: Narrowing, frame: Frame, exif: NotedPlace | None = None) -> "Prior":
+    def of(
+        cls,
+        narrowing: Narrowing,
+        frame: Frame,
+        exif: NotedPlace | None = None,
+        surroundings: tuple[float, float, float] | None = None,
+    ) -> "Prior":
         """Return a narrowing in a frame, with the prior from EXIF.
 
         Raises as `Frame.rectangle_m`.
         """
         noted = None if exif is None else PlacePrior.of_noted(exif, frame)
         rectangle = None
-        circle = None
-        if narrowing.near is not None:
-            east, north = frame.from_lonlat(narrowing.near[0], narrowing.near[1])
-            circle = float(east), float(north), 1000.0 * narrowing.near[2]
+        circles = (_circle_m(frame, one) for one in (narrowing.near, surroundings) if one)
         if narrowing.bounds_deg is not None:
             rectangle = frame.rectangle_m(narrowing.bounds_deg)
-        return cls(narrowing, frame, circle, rectangle, noted, exif)
+        return cls(narrowing, frame, tuple(circles), rectangle, noted, exif, surroundings)
 
     def in_frames(self, frames: Sequence[Frame]) -> "list[Prior]":
         """Return this prior in each of several frames, its own first.
@@ -458,8 +461,10 @@ class Prior:
         """
         if len(frames) < 2:
             return [self]
-        others = (Prior.of(self.narrowing, frame, self.exif) for frame in frames[1:])
-        priors = [self, *(replace(one, is_near_noted=self.is_near_noted) for one in others)]
+        others = (
+            Prior.of(self.narrowing, frame, self.exif, self.surroundings) for frame in frames[1:]
+        )
+        priors = [self, *others]
         noted = next((prior.noted for prior in priors if prior.noted is not None), None)
         if noted is None:
             return priors
@@ -482,7 +487,7 @@ class Prior:
         if self.narrowing.elevation_m is not None:
             low, high = self.narrowing.elevation_m
             inside &= (positions.eye_elevation_m >= low) & (positions.eye_elevation_m <= high)
-        for east, north, radius_m in filter(None, (self.circle_m, self._noted_circle_m)):
+        for east, north, radius_m in self.circles_m:
             inside &= (easting_m - east) ** 2 + (northing_m - north) ** 2 <= radius_m**2
         if self.rectangle_m is not None:
             west, south, east, north = self.rectangle_m
@@ -502,17 +507,23 @@ class Prior:
             allowed &= np.abs(off) <= slack
         return allowed
 
+    def around(self, frame: Frame, *, lon: float, lat: float, radius_km: float) -> "Prior":
+        """Return this prior, narrowed to the surroundings of a place as well.
+
+        ``frame`` is the prior's own, which a prior without a narrowing may lack.
+        """
+        circle = _circle_m(frame, (lon, lat, radius_km))
+        return replace(
+            self, circles_m=(*self.circles_m, circle), surroundings=(lon, lat, radius_km)
+        )
+
     def near_noted(self) -> "Prior | None":
         """Return this prior narrowed to the noted place's surroundings, or None."""
-        return None if self.noted is None else replace(self, is_near_noted=True)
-
-    @property
-    def _noted_circle_m(self) -> tuple[float, float, float] | None:
-        """The circle of the noted place's surroundings, if it counts."""
-        if not self.is_near_noted or self.noted is None:
+        if self.noted is None or self.frame is None:
             return None
-        radius_m = _EXIF.reach_m + _EXIF.reach_sds * self.noted.sd_m
-        return self.noted.easting_m, self.noted.northing_m, radius_m
+        lon, lat = self.frame.to_lonlat(self.noted.easting_m, self.noted.northing_m)
+        reach_m = _EXIF.reach_m + _EXIF.reach_sds * self.noted.sd_m
+        return self.around(self.frame, lon=float(lon), lat=float(lat), radius_km=1e-3 * reach_m)
 
     def swap_hint(self, places: Places) -> str:
         """Return a hint that longitudes and latitudes are swapped, or "".
@@ -530,6 +541,13 @@ class Prior:
             if all(a.min() <= b.max() and b.min() <= a.max() for a, b in pairs):
                 return f"; {swapped_in_words(*given)}"
         return ""
+
+
+def _circle_m(frame: Frame, circle: tuple[float, float, float]) -> tuple[float, float, float]:
+    """Return the easting, northing and radius, metres, of a longitude, latitude and radius, km."""
+    lon, lat, radius_km = circle
+    east, north = frame.from_lonlat(lon, lat)
+    return float(east), float(north), 1000.0 * radius_km
 
 
 NOTHING_KNOWN = Prior()

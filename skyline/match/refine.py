@@ -386,10 +386,10 @@ class Refinement:
         return np.column_stack([np.degrees(sd[:, HEADING : ROLL + 1]), fov_deg])
 
 
-def best_of_areas(parts: Sequence[Poses], count: int) -> Poses:
-    """Return the best distinct poses of one photo in several areas, best first.
+def best_of_several(parts: Sequence[Poses], count: int) -> Poses:
+    """Return the best distinct poses of several refinements of one photo, best first.
 
-    Their margins are over the poses of all areas.
+    Their margins are over the poses of all refinements.
     """
     if len(parts) == 1:
         return parts[0]

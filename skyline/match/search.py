@@ -18,11 +18,11 @@ from skyline.match.other_projection import OtherProjection, find_other_projectio
 from skyline.match.posterior import AlikePlaces
 from skyline.match.prior import Narrowing, Prior
 from skyline.match.rays import Rays
-from skyline.match.refine import QUICK, WHOLE, Effort, Refinement, best_of_areas
+from skyline.match.refine import QUICK, WHOLE, Effort, Refinement, best_of_several
 from skyline.match.retrieval import Retriever
 from skyline.match.shard import LocalShard, Shard
 from skyline.match.together import JointRefinement
-from skyline.pose import Pose, Poses
+from skyline.pose import ROUGHLY_WITHIN_M, Pose, Poses
 from skyline.progress import StepProgress, silent
 from skyline.render.horizon import RenderedScene
 from skyline.store.layout import PLACES
@@ -32,10 +32,20 @@ from skyline.terrain.viewpoints import LEAST_EYE_HEIGHT_M, Viewpoints
 
 _SHORTLIST_LEAST = 400
 """Least number of poses that retrieval returns."""
+_SHORTLIST_SHARE = 1 / 1500
+"""Poses that retrieval returns for each place: the more places there are, the more are alike."""
+LARGE_AREA = round(WHOLE.shortlist / _SHORTLIST_SHARE)
+"""Places from which on the short list grows no more: it holds few poses of each neighbourhood."""
 SURE_MARGIN = 75.0
 """A quick refinement is enough where its best pose leads all others by this margin."""
 _SEPARATION_M = 100.0
 """Least distance between candidates."""
+_SURROUNDINGS = 3
+"""Answers whose surroundings are searched again, where a quick refinement is not enough."""
+_SURROUNDINGS_KM = 2e-3 * ROUGHLY_WITHIN_M
+"""Radius of these surroundings: two poses that are roughly right are no farther apart."""
+_NEARBY_SHORTLIST = 100
+"""Poses that retrieval returns from the surroundings of one place."""
 
 
 @contextmanager
@@ -59,9 +69,8 @@ class SearchedArea:
     """Places of one elevation model and frame, with a scene of it."""
 
     shards: Sequence[Shard]
+    frame: Frame
     scene: RenderedScene | None = None
-    frame: Frame | None = None
-    """None only where no other area is searched."""
 
 
 class FullMatcher(SearchMethod):
@@ -76,15 +85,14 @@ class FullMatcher(SearchMethod):
     finds_fov = True
     takes_prior = True
     sure_margin: ClassVar[float] = SURE_MARGIN
+    large_area: ClassVar[int] = LARGE_AREA
 
     def __init__(self, areas: Sequence[SearchedArea], at_once: int = 1) -> None:
         self._areas = areas
-        frames = [area.frame for area in areas if area.frame is not None]
-        self._frames = frames if len(areas) > 1 else []
+        self._frames = [area.frame for area in areas] if len(areas) > 1 else []
         self.retriever = Retriever([area.shards for area in areas], self._frames, at_once)
         self.models = confidence.models()
-        # The more places there are, the more are alike.
-        share = round(1 / 1500 * len(self.retriever))
+        share = round(_SHORTLIST_SHARE * len(self.retriever))
         self._shortlist = min(max(share, _SHORTLIST_LEAST), WHOLE.shortlist)
 
     @classmethod
@@ -97,7 +105,7 @@ class FullMatcher(SearchMethod):
         """
         ground = None if terrain is None else ground_of(terrain)
         shard = LocalShard(store.places(), ground)
-        return cls([SearchedArea([shard], scene, Frame(store.header.frame_wkt))])
+        return cls([SearchedArea([shard], Frame(store.header.frame_wkt), scene)])
 
     @classmethod
     def joined(cls, methods: Sequence["FullMatcher"]) -> "FullMatcher":
@@ -152,7 +160,8 @@ class FullMatcher(SearchMethod):
 
         The refined ones are None without a scene. The first short list is refined quickly. That is
         enough where one place fits far better than any other, as with most skylines. Otherwise the
-        last short list is refined with more effort. Raises as `search`.
+        last short list is refined with more effort, and in a large area the surroundings of the
+        best answers are searched again. Raises as `search`.
         """
         lists = self.retriever.shortlists(rays, self._shortlist, prior, report)
         found = next(lists)
@@ -163,7 +172,30 @@ class FullMatcher(SearchMethod):
         if len(poses) and poses.figures().margin[0] > self.sure_margin:
             return found, poses
         found = next(lists, found)
-        return found, self._refined(WHOLE, rays, prior, _with_noted(found, noted), report)
+        poses = self._refined(WHOLE, rays, prior, _with_noted(found, noted), report)
+        if len(self.retriever) > self.large_area:
+            poses = self._with_surroundings(rays, prior, poses, report)
+        return found, poses
+
+    def _with_surroundings(
+        self, rays: Rays, prior: Prior, poses: Poses, report: StepProgress
+    ) -> Poses:
+        """Return refined poses, with those around the best answers, best first.
+
+        Few poses of one neighbourhood have been refined, and these may have ended in local optima.
+        A search of the surroundings alone finds better ones. The best rivals get one as well, so
+        that no answer leads by its second search.
+        """
+        answers = poses[poses.suppress_non_maxima(_SURROUNDINGS, 1000.0 * _SURROUNDINGS_KM)]
+        parts = [poses]
+        for one in answers.on_map(*(area.frame for area in self._areas)):
+            around = prior.around(
+                self._areas[0].frame, lon=one.lon, lat=one.lat, radius_km=_SURROUNDINGS_KM
+            )
+            near = self._retrieved_in(around, rays)
+            if near is not None:
+                parts.append(self._refined(QUICK, rays, prior, near, report))
+        return best_of_several(parts, WHOLE.finalists)
 
     def _refined(
         self, effort: Effort, rays: Rays, prior: Prior, poses: Poses, report: StepProgress
@@ -181,7 +213,7 @@ class FullMatcher(SearchMethod):
                 continue
             found = Refinement(rays, area.scene, effort, its_prior, report=report).run(own)
             parts.append(self._found_in(number, found))
-        return best_of_areas(parts, effort.finalists)
+        return best_of_several(parts, effort.finalists)
 
     def _found_in(self, area: int, poses: Poses) -> Poses:
         """Return poses as found in an area, if there are several."""
@@ -304,11 +336,15 @@ class FullMatcher(SearchMethod):
     def _near_noted(self, rays: Rays, prior: Prior, report: StepProgress) -> Poses | None:
         """Return the poses retrieved around the photo's noted place; None without one."""
         near_noted = prior.near_noted()
-        if near_noted is None:
-            return None
+        return None if near_noted is None else self._retrieved_in(near_noted, rays, report)
+
+    def _retrieved_in(
+        self, surroundings: Prior, rays: Rays, report: StepProgress = silent
+    ) -> Poses | None:
+        """Return the poses retrieved from surroundings; None if they hold no place of the store."""
         try:
-            return self.retriever.shortlist(rays, _SHORTLIST_LEAST // 4, near_noted, report)
-        except InputError:  # No place of the store lies there.
+            return self.retriever.shortlist(rays, _NEARBY_SHORTLIST, surroundings, report)
+        except InputError:
             return None
 
 

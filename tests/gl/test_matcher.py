@@ -247,10 +247,28 @@ def test_a_sure_answer_of_the_first_short_list_ends_the_search(terrain, monkeypa
         northing_m=MIDDLE[1] + places.northing_m,
     )
     scene = RenderedScene(terrain, RenderConfig(360))
-    matcher = search.FullMatcher([search.SearchedArea([LocalShard(places)], scene)])
+    matcher = search.FullMatcher([search.SearchedArea([LocalShard(places)], terrain.frame, scene)])
     matcher.found(rays(3, 77.0), NOTHING_KNOWN, lambda step, share: steps.append(step))
     scene.close()
     assert [step for step, _ in groupby(steps)] == ["screening", *["fitting", "refining"] * lists]
+
+
+def test_a_large_area_is_searched_again_around_its_best_answers(
+    store, terrain, queries, monkeypatch
+):
+    """The first refinement renders one pose, and does not move it."""
+    hasty = replace(search.WHOLE, shortlist=1, rounds=1, restarts=0, final_rounds=0)
+    monkeypatch.setattr(search, "WHOLE", hasty)
+    monkeypatch.setattr(search.FullMatcher, "sure_margin", math.inf)
+
+    def errors_m(large_area):
+        monkeypatch.setattr(search.FullMatcher, "large_area", large_area)
+        with Matcher(store, terrain, config=BOLD) as matcher:
+            found = [matcher.match(query.skyline).best for query in queries]
+        return [error_m(pose, query.truth) for pose, query in zip(found, queries, strict=True)]
+
+    assert max(errors_m(math.inf)) > 40.0
+    assert max(errors_m(0)) < 20.0
 
 
 def test_the_number_of_candidates_changes_none_of_them(store, terrain, queries):

@@ -119,7 +119,7 @@ def many(count):
 
 def within_m(radius_m):
     """Return a search that is narrowed to places near the first one."""
-    return Prior(circle_m=(0.0, 0.0, radius_m))
+    return Prior(circles_m=((0.0, 0.0, radius_m),))
 
 
 def test_later_lists_add_to_the_first_one():
@@ -158,7 +158,7 @@ def test_a_known_place_is_fitted_from_every_heading(places):
 
 
 def test_a_search_of_no_place_is_refused(places):
-    far_off = Prior(circle_m=(-900.0, 0.0, 99.0))
+    far_off = Prior(circles_m=((-900.0, 0.0, 99.0),))
     with pytest.raises(InputError, match="no place of the store"):
         next(retriever_of(places).shortlists(rays(3, 77.0), 5, far_off))
 

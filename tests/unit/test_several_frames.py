@@ -63,7 +63,7 @@ def test_a_prior_is_as_wide_in_every_frame():
     exif = NotedPlace(lonlat_deg=(LON, LAT))
     priors = Prior.of(narrowing, FRAMES[0], exif).in_frames(FRAMES)
     for prior, frame in zip(priors, FRAMES, strict=True):
-        east, north, radius_m = prior.circle_m
+        ((east, north, radius_m),) = prior.circles_m
         assert frame.to_lonlat(east, north) == pytest.approx((LON, LAT))
         assert radius_m == 2000.0
         assert (prior.noted.easting_m, prior.noted.northing_m) == (east, north)
@@ -86,3 +86,13 @@ def test_the_surroundings_of_a_noted_place_are_in_every_frame():
         east, north = (float(one) for one in frame.from_lonlat(LON, LAT))
         poses = poses_at([east + 1089.0, east + 1091.0], [north, north], [number, number])
         assert its.contains(poses).tolist() == [True, False]
+
+
+def test_a_prior_around_a_place_contains_what_lies_in_both_circles():
+    """Circles of 3 km whose middles are 4 km apart: the middle between them lies in both."""
+    prior = Prior.of(Narrowing(near=(LON, LAT, 3.0)), FRAMES[0])
+    east, north = (float(one) for one in FRAMES[0].from_lonlat(LON, LAT))
+    lon, lat = FRAMES[0].to_lonlat(east + 4000.0, north)
+    around = prior.around(FRAMES[0], lon=float(lon), lat=float(lat), radius_km=3.0)
+    poses = poses_at([east - 500.0, east + 2000.0, east + 4500.0], [north] * 3, [0] * 3)
+    assert around.contains(poses).tolist() == [False, True, False]
