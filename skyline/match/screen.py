@@ -92,7 +92,19 @@ class Alike(Rows):
 
         Places of equal score keep the source's order.
         """
-        return self[np.lexsort((self.row, -self.score))[:count]]
+        kept = self if count is None else self[self._are_best(count)]
+        return kept[np.lexsort((kept.row, -kept.score))]
+
+    def _are_best(self, count: int) -> BoolArray:
+        """Mark the best ``count`` places (K,); to sort all takes several times as long."""
+        if not 0 < count < len(self):
+            return np.full(len(self), count > 0)
+        least = np.partition(self.score, -count)[-count]
+        chosen = self.score > least
+        tied = np.flatnonzero(self.score == least)
+        first = np.argsort(self.row[tied], kind="stable")[: count - chosen.sum()]
+        chosen[tied[first]] = True
+        return np.asarray(chosen)
 
     @classmethod
     def joined(cls, parts: list["Alike"]) -> "Alike":
@@ -194,17 +206,20 @@ class Screen:
         """
         sums = self._every_turn(_filled(phase, CHOSEN_AT_ONCE))[: len(phase)]
         score = (sums - self.mean[:, np.newaxis]) * self.scale[:, np.newaxis]
-        fov = score.argmax(axis=1)
-        best = score.max(axis=1)
-        best[:, ~self.open_turns] = -np.inf
+        left = score.max(axis=1)
+        left[:, ~self.open_turns] = -np.inf
+        row = np.arange(len(phase))
         turn = np.zeros((len(phase), count), dtype=np.intp)
         peak = np.zeros(turn.shape, dtype=np.float32)
         near = np.arange(1 - _APART_TURNS, _APART_TURNS)
         for k in range(count):
-            peak[:, k] = best.max(axis=1)
-            turn[:, k] = np.where(peak[:, k] > -np.inf, best.argmax(axis=1), turn[:, 0])
-            np.put_along_axis(best, (turn[:, [k]] + near) % PHASE_BINS, -np.inf, axis=1)
-        return turn_grid_heading_deg(turn), np.take_along_axis(fov, turn, axis=1), peak
+            best = left.argmax(axis=1)
+            peak[:, k] = left[row, best]
+            turn[:, k] = np.where(peak[:, k] > -np.inf, best, turn[:, 0])
+            left[row[:, np.newaxis], (turn[:, [k]] + near) % PHASE_BINS] = -np.inf
+        # Only at these turns: an argmax of all takes as long as the product of matrices.
+        fov = np.take_along_axis(score, turn[:, np.newaxis], axis=2).argmax(axis=1)
+        return turn_grid_heading_deg(turn), fov, peak
 
     def _every_turn(self, phase: UInt8Array) -> Float32Array:
         """Return the sums (N, F, B) at every turn."""

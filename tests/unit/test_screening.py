@@ -8,7 +8,7 @@ from place_scenes import AZIMUTH_DEG, Blocks, curve, photo, places_of, rays
 from ray_scenes import equally_trusted
 
 from skyline.match.prior import NOTHING_KNOWN
-from skyline.match.screen import Screen, rescored, screen_places, turns_within, waves_of
+from skyline.match.screen import Alike, Screen, rescored, screen_places, turns_within, waves_of
 from skyline.store.places import decode_phases
 
 FOVS_DEG = np.array([57.0, 60.0, 63.0])
@@ -43,6 +43,26 @@ def test_blocks_change_nothing(places, size, count):
     found = screen_places(screen.scores, Blocks(places, size), count, every)
     np.testing.assert_array_equal(found.row, order)
     np.testing.assert_allclose(found.score, score[order], rtol=1e-5)
+
+
+def test_places_of_equal_score_keep_their_order():
+    """Of the four 3s the two in the first rows are left, 2 and 4."""
+    row = np.array([8, 4, 6, 2, 0, 9])
+    alike = Alike(row, np.array([3.0, 3.0, 3.0, 3.0, 5.0, 1.0], dtype=np.float32))
+    assert alike.best(3).row.tolist() == [0, 2, 4]
+
+
+def test_the_best_turn_has_the_field_of_view_that_fits_there(places):
+    seen = wide(3, 100.0)
+    alone = [Screen(seen, FOVS_DEG[k : k + 1], places) for k in range(3)]
+    each = [screen.best_turns(places.phase, 1) for screen in alone]
+    scores = np.hstack([score for _, _, score in each])
+    heading_deg, fov, score = Screen(seen, FOVS_DEG, places).best_turns(places.phase, 1)
+    np.testing.assert_array_equal(fov[:, 0], scores.argmax(axis=1))
+    # float32 of scores that reach a hundred.
+    np.testing.assert_allclose(score[:, 0], scores.max(axis=1), atol=1e-4)
+    of_fov = np.hstack([heading_deg for heading_deg, _, _ in each])
+    np.testing.assert_array_equal(heading_deg, np.take_along_axis(of_fov, fov, axis=1))
 
 
 def test_an_unlikely_field_of_view_loses_its_penalty(places):
