@@ -121,7 +121,7 @@ QUICK = Effort(
 )  # fmt: skip
 """The effort for most skylines, which fit one place far better than any other."""
 WHOLE = Effort(
-    shortlist=1600, particles=128, likeliest=12, rounds=8, keep_share=0.8, keep_least=32,
+    shortlist=800, particles=128, likeliest=12, rounds=8, keep_share=0.8, keep_least=32,
     restarts=6, weighed=48, finalists=12, final_rounds=5,
 )  # fmt: skip
 """The effort for all other skylines."""

@@ -64,7 +64,7 @@ class RetrievalEffort:
     """Share of all places from which the last short list is made."""
     rough_least: int = 16_384
     """Least number of these places."""
-    rough_most: int = 262_144
+    rough_most: int = 65_536
     """Greatest number of these places: fits are held in memory."""
     turns: int = 3
     """Best turns of a place that screening passes on. Screening finds the right place more often

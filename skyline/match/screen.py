@@ -92,19 +92,19 @@ class Alike(Rows):
 
         Places of equal score keep the source's order.
         """
-        kept = self if count is None else self[self._are_best(count)]
+        kept = self if count is None else self.cut(count)
         return kept[np.lexsort((kept.row, -kept.score))]
 
-    def _are_best(self, count: int) -> BoolArray:
-        """Mark the best ``count`` places (K,); to sort all takes several times as long."""
+    def cut(self, count: int) -> "Alike":
+        """Return the best ``count`` places, in no order: to sort all would take much longer."""
         if not 0 < count < len(self):
-            return np.full(len(self), count > 0)
+            return self if count else self[:0]
         least = np.partition(self.score, -count)[-count]
         chosen = self.score > least
         tied = np.flatnonzero(self.score == least)
         first = np.argsort(self.row[tied], kind="stable")[: count - chosen.sum()]
         chosen[tied[first]] = True
-        return np.asarray(chosen)
+        return self[chosen]
 
     @classmethod
     def joined(cls, parts: list["Alike"]) -> "Alike":
@@ -326,7 +326,8 @@ def screen_places(
         return found, sum(len(places) for _, places in blocks)
 
     batches = _batches(source)
-    kept = Alike.joined([])
+    kept = []
+    least = -np.inf
     seen = 0
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         # A few batches are in work at a time, so that memory does not grow with the store.
@@ -336,10 +337,11 @@ def screen_places(
             ahead.extend(pool.submit(scored, batch) for batch in islice(batches, 1))
             seen += places
             report(Step.SCREENING, seen / max(len(source), 1))
-            kept = Alike.joined([kept, found])
-            if len(kept) > _SLACK * count:
-                kept = kept.best(count)
-    return kept.best(count)
+            kept.append(found[found.score >= least])
+            if sum(map(len, kept)) > _SLACK * count:
+                kept = [Alike.joined(kept).cut(count)]
+                least = float(kept[0].score.min())
+    return Alike.joined(kept).best(count)
 
 
 def rescored(scores: Scores, source: PlaceSource, rows: IntArray) -> Float32Array:
