@@ -1,6 +1,7 @@
 """Stores of several elevation models, searched as one."""
 
 import json
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,7 @@ from scenes import NORTH_M, SPACING_M, WEST_M, fractal, write_dem
 
 from skyline import MatchConfig, Matcher, Narrowing, build_places, read_dem, write_trace
 from skyline.errors import InputError
+from skyline.match.search import FullMatcher
 from skyline.photo.noted_place import NotedPlace
 from skyline_bench.queries.synthetic import QueryConfig, make_queries
 
@@ -70,6 +72,16 @@ def test_a_photo_is_found_in_its_own_area(matcher, areas, stores, skylines, area
     assert best.lon == pytest.approx(own.lon, abs=1e-4)
     assert best.lat == pytest.approx(own.lat, abs=1e-4)
     assert best.heading_deg == pytest.approx(own.heading_deg, abs=0.1)
+
+
+def test_the_surroundings_of_an_answer_are_searched_in_its_own_area(matcher, skylines, monkeypatch):
+    plain = matcher.match(skylines[1]).answer
+    monkeypatch.setattr(FullMatcher, "sure_margin", math.inf)
+    monkeypatch.setattr(FullMatcher, "large_area", 0)
+    again = matcher.match(skylines[1]).answer
+    assert again.area == 1
+    assert again.cost <= plain.cost
+    assert again.distance_m(plain) < 20.0
 
 
 def test_the_order_of_the_stores_changes_no_answer(matcher, stores, skylines):
