@@ -210,7 +210,7 @@ def parse_near(text: str, gazetteer: Path | None) -> tuple[float, float, float]:
 def is_numbers(text: str) -> bool:
     """Return whether text is numbers with commas between them.
 
-    Nan and Inf are towns.
+    ``Nan`` and ``Inf`` are no numbers here: towns have these names.
     """
     with suppress(ValueError):
         return all(math.isfinite(float(part)) for part in text.split(","))

@@ -180,7 +180,8 @@ def fetch_dem(
             with failures.noting(name):
                 cut = _cut_of(address(template, *corner), path, corner, bounds_deg, patience)
                 files.append(path)
-                cuts += [cut] if cut is not None else []
+                if cut is not None:
+                    cuts.append(cut)
         except AbsentError as error:
             missing.append(name)
             _log.info("%s", error)

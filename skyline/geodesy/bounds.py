@@ -1,7 +1,7 @@
 """Boxes of longitudes and latitudes, turns, and distances in words.
 
-Azimuths inside the program are from grid north; people read azimuths from true north, and degrees
-of WGS 84.
+People read degrees of WGS 84 and azimuths from true north; the program works in metres of a frame,
+with azimuths from grid north.
 """
 
 import numpy as np

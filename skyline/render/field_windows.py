@@ -198,7 +198,7 @@ class WindowTextures:
     def _trees_of_rims(self, triangles: Triangles) -> Trees:
         """Mark where rays may meet the surface again.
 
-        The triangles have an apron of one.
+        The triangles have an apron of one cell around the window.
         """
         quadrants = [(north, east) for north in (False, True) for east in (False, True)]
         with ThreadPoolExecutor(_TREES_AT_ONCE) as pool:

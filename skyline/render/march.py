@@ -268,7 +268,7 @@ class ColumnRenderer(Renderer):
 
     @in_context
     def load(self) -> None:
-        """Load the field onto the GPU if it is one window; windows of larger fields wait."""
+        """Load a field of one window onto the GPU; larger fields wait."""
         if len(self._windows) == 1:
             self._load(self._windows[0])
 

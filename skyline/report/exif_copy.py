@@ -68,10 +68,8 @@ _PANORAMA_POSE = re.compile(r"(?:Pose|InitialView)\w+")
 def write_located(source: str | Path, path: str | Path, candidate: Pose) -> None:
     """Write a copy of a photo with a pose in its EXIF.
 
-    The pose's place and heading are written.
-
-    Other GPS tags of the photo (its error, the time of a fix, a destination) belong to another pose
-    and are removed.
+    The copy has the pose's place and heading. The photo's other GPS tags (its error, the time of a
+    fix, a destination) belong to another pose and are left out.
 
     Parameters
     ----------

@@ -271,9 +271,9 @@ def _nice_length(length: float) -> float:
 def relief(heights: Float32Array, pixel_m: float, range_m: tuple[float, float]) -> UInt8Array:
     """Return shaded relief as RGBA (H, W, 4) uint8.
 
-    It is transparent where there is no height. There is a height (H + 2, W + 2), metres, for each
-    of the picture's pixels, ``pixel_m`` apart, and for one pixel beyond each side; rows run south.
-    ``range_m`` are the heights of the lowest and the highest tint.
+    It is transparent where there is no height. ``heights`` (H + 2, W + 2), in metres, belong to the
+    picture's pixels, ``pixel_m`` apart, and to one pixel beyond each side; rows run south.
+    ``range_m`` has the heights of the lowest and the highest tint.
     """
     east = (heights[1:-1, 2:] - heights[1:-1, :-2]) / np.float32(2.0 * pixel_m)
     north = (heights[:-2, 1:-1] - heights[2:, 1:-1]) / np.float32(2.0 * pixel_m)
@@ -295,7 +295,7 @@ def relief(heights: Float32Array, pixel_m: float, range_m: tuple[float, float]) 
 def contours(heights: Float32Array, interval_m: float) -> BoolArray:
     """Return the pixels (H, W) that contour lines cross.
 
-    The heights (H + 2, W + 2) are those of `relief`.
+    ``heights`` (H + 2, W + 2) are as for `relief`.
     """
     band = np.floor(heights / interval_m)
     inner = band[1:-1, 1:-1]

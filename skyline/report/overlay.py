@@ -164,10 +164,10 @@ def _draw_picture(
 ) -> tuple[Figure, Axes, UnnamedPeaks]:
     """Draw the photo with the peaks' texts above it.
 
-    Without a photo, a blank canvas is drawn. Below it is an empty foot, where a line counts the
-    names that no font draws. The picture is at most 1600 px wide and high, and at least 700 px wide
-    if that leaves it no higher. Returns the figure, axes in pixels of the photo, and the peaks
-    without their texts.
+    Without a photo, a blank canvas is drawn. Below the photo, ``foot_px`` are left empty, and a line
+    counts the names that no font draws. The picture is at most 1600 px wide and high, and at least
+    700 px wide if that leaves it no higher. Returns the figure, axes in pixels of the photo, and
+    the peaks without their texts.
     """
     figure = Figure(dpi=_DPI)
     FigureCanvasAgg(figure)
@@ -240,9 +240,9 @@ def _draw_masked(axis: Axes, skyline: PhotoSkyline) -> None:
 
 
 def _draw_rendered(axis: Axes, pose: Pose, sight: Sight) -> None:
-    """Draw the rendered skyline, dotted where farther terrain may rise above it.
+    """Draw the rendered skyline, dotted where it is not sure.
 
-    That may be where the elevation data end.
+    It is not sure where terrain beyond the elevation data may rise above it.
     """
     for sure, style, label in (
         (True, "-", f"skyline rendered at {pose.title}"),

@@ -158,9 +158,10 @@ def _alone(path: Path) -> Iterator[None]:
 def _error_of(row: Row) -> str | None:
     """Return the error in the row of an unusable photo.
 
-    Such a row has no time; there is no error in any other.
+    Only such a row has no seconds. In all others the reason is why there is no answer.
     """
-    return (row["reason"] or None) if row["seconds"] in (None, "") else None
+    is_unusable = row["seconds"] in (None, "")
+    return (row["reason"] or None) if is_unusable else None
 
 
 _Known = tuple[tuple[str, str], str | None]
@@ -185,7 +186,9 @@ def _read_csv(path: Path) -> list[_Known]:
     header = ",".join(_COLUMN_TYPES).encode() + b"\n"
     whole = held[: held.rfind(b"\n") + 1] or header
     rows = csv.DictReader(io.StringIO(whole.decode()), restkey=_SURPLUS, restval="")
-    if rows.fieldnames != list(_COLUMN_TYPES) or not (b"\n" in held or header.startswith(held)):
+    # A file without a line end may be a header whose writing was interrupted.
+    has_header = b"\n" in held or header.startswith(held)
+    if rows.fieldnames != list(_COLUMN_TYPES) or not has_header:
         raise InputError(f"--results {path} is not a file of results; name another one")
     if whole != held:
         path.write_bytes(whole)

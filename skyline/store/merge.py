@@ -4,7 +4,7 @@ Rows of a merged store are sorted by easting, northing, eye elevation and headin
 are kept once. So its bytes depend only on the set of rows, not on the order of the parts or on how
 they were cut. Stores of several boxes of one DEM may overlap. Places are planned on nested
 lattices, so the denser of two plans has all places of the other. Where both plans have a place, the
-row of the denser plan is kept: it represents less ground.
+row of the denser plan is kept, which has the smaller tolerance.
 """
 
 import os

@@ -74,7 +74,7 @@ NODES_AROUND = (_NESTING.roots + 2) ** 2 - _NESTING.roots**2
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BegunPlaces(Rows):
-    """N places of an unfinished plan, as a store of `BEGUN` rows has them."""
+    """N places of an unfinished plan, as `BEGUN` rows hold them."""
 
     places: Places
     """The places, whose tolerances are not set yet."""
@@ -191,7 +191,7 @@ def planned_places(
     tolerances_m = []
     west, south, east, north = area
     for level in range(LEVELS):
-        # Only squares that meet the area.
+        # Only squares that meet the area are kept.
         left_m, low_m = seen.position_m(nodes - nodes % _side(level))
         side_m = _side(level) * _NESTING.finest_m
         meets = (left_m <= east) & (left_m + side_m > west)
@@ -241,14 +241,14 @@ class _Seen:
         return position[:, 0], position[:, 1]
 
     def fill(self, nodes: Int64Array) -> None:
-        """Render the nodes, of (N, 2), that were not tried."""
+        """Render those of the nodes (N, 2) that were not tried yet."""
         nodes = nodes[self._row[_index(nodes)] == _UNTRIED]
         eyes, stands = stand_where_possible(self._terrain, *self.position_m(nodes))
         self._row[_index(nodes)] = _BARE
         self._row[_index(nodes[stands])] = len(self._lost) + np.arange(len(eyes))
-        seen = self._render(eyes)
-        self.places.append(seen.places)
-        self._lost = np.concatenate([self._lost, seen.lost])
+        begun = self._render(eyes)
+        self.places.append(begun.places)
+        self._lost = np.concatenate([self._lost, begun.lost])
 
     def rows(self, nodes: Int64Array) -> Int64Array:
         """Return the rows, in `places`, of nodes (N, 2) with a place."""

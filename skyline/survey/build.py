@@ -1,11 +1,10 @@
 """Building a store, in parts that are merged at the end.
 
-A plan always cuts the work into the same jobs. Every few seconds the rendered rows
-are written as a part (`skyline.survey.part_files`). So a build that is killed loses the last few
-seconds, and the same command continues. Parts lie in the folder ``STORE.parts``, where each build
-(one box, DEM and settings) has a subfolder of its own. Merging sorts the rows: the number of
-workers, the order and number of the parts, and how often a build was killed change no byte of the
-store.
+A plan always cuts the work into the same jobs. Every few seconds the rendered rows are written as a
+part (`skyline.survey.part_files`). So a build that is killed loses the last few seconds, and the
+same command continues. Parts lie in the folder ``STORE.h5.parts``, where each build (one box, DEM
+and settings) has a subfolder of its own. Merging sorts the rows: the number of workers, the order
+and number of the parts, and how often a build was killed change no byte of the store.
 
 Every job is rendered over the whole DEM, since terrain can rise into a skyline from any distance.
 """
@@ -87,7 +86,7 @@ def build_places(
     bounds_deg : tuple, optional
         W, S, E, N in degrees; by default all of the terrain.
     progress : callable, optional
-        Called with the number of places rendered so far, with those of earlier calls, and the
+        Called with the number of places rendered so far, earlier calls included, and the
         approximate number of all places.
     places : int, optional
         About how many places to plan if there is no spacing. By default 100,000; fewer if

@@ -141,7 +141,7 @@ class Runner:
         submit = partial(self._submit, work, opening, item, None)
         future = submit(f"ask-{uuid4().hex}", workers=asked)
         while asked is not None and _is_pending(future):
-            # If no other worker is there when this one dies, dask gives its job to no later one.
+            # If the only worker dies, dask does not give its job to a worker that joins later.
             if asked not in self._addresses():
                 future.cancel()
                 asked = None

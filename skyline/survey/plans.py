@@ -157,8 +157,8 @@ class PlacePlan:
         begun = replace(header, holds=BEGUN, width=LEVELS)
 
         def look(eyes: Viewpoints) -> Columns:
-            seen = BegunPlaces.of(renderer.render(eyes))
-            return {**columns_of(begun, seen.places), LOST: seen.lost}
+            rendered = BegunPlaces.of(renderer.render(eyes))
+            return {**columns_of(begun, rendered.places), LOST: rendered.lost}
 
         def rows(block: tuple[int, int], look: Look) -> Columns:
             def render(eyes: Viewpoints) -> BegunPlaces:

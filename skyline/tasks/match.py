@@ -7,7 +7,7 @@ it has a file of results.
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import nullcontext, suppress
+from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass, replace
 from datetime import datetime
 from itertools import takewhile
@@ -199,9 +199,9 @@ class MatchTask:
 def split_stores(first: Path, others: Sequence[Path]) -> tuple[tuple[Path, ...], Sequence[Path]]:
     """Return the stores and the photos of a command's arguments.
 
-    The stores are the first one and those named after it; the photos are named after the stores.
-    The folder of a cached area is a store, too.
-    Raises `InputError` where a store is named after a photo.
+    The stores are the first argument and the stores that follow it; all that is named after them is
+    a photo. The folder of a cached area is a store, too. Raises `InputError` where a store is named
+    after a photo.
     """
     first, *others = map(store_of, (first, *others))
     stores = (first, *takewhile(is_store, others))
@@ -223,8 +223,10 @@ def match_photos(task: MatchTask, listener: Listener) -> int:
     error of a photo is shown, and does not stop the others.
     """
     task.check()
-    kept = nullcontext()
-    with kept if task.results is None else ResultsFile(task.results, task.search_digest()) as file:
+    results: AbstractContextManager[ResultsFile | None] = nullcontext()
+    if task.results is not None:
+        results = ResultsFile(task.results, task.search_digest())
+    with results as file:
         run = _Run(task, listener, file)
         with suppress(BrokenPipeError):
             run.match()
@@ -482,7 +484,7 @@ class _Run:
         if self._task.report is not None:
             self._write_report(self._task.report, found, matcher, gazetteer, done)
         if self._task.probability:
-            # The last one, since photos that are of no one walk have none.
+            # Written last: photos that no single walk joins have no posteriors, which is an error.
             self._write_posteriors(found if self._joint is None else [self._joint], matcher)
 
     def _write_report(

@@ -17,7 +17,7 @@ from skyline.terrain.provenance import DemOptions
 def read_terrain(listener: Listener, dem: Sequence[str], crs: str | None) -> HeightField:
     """Read an elevation model from files, or folders of them.
 
-    ``crs`` is of files that name none. If reading takes long, a note names the step.
+    ``crs`` is the CRS of files that name none. If reading takes long, a note names the step.
     """
     with listener.slow(Step.READING):
         return read_dem(dem, DemOptions(crs=crs))

@@ -145,7 +145,10 @@ def vertical_of(source: str, crs: CRS, band_unit: str, positive: str) -> Vertica
 
 
 def _check_map_in_metres(source: str, crs: CRS) -> None:
-    """Raise `InputError` for a map in feet, whose heights may be in feet or metres."""
+    """Raise `InputError` if a projected map is not in metres.
+
+    Heights without a unit may then be in the unit of the map or in metres.
+    """
     axis = crs.axis_info[0] if crs.is_projected else None
     if axis is None or abs(axis.unit_conversion_factor - 1.0) <= SAME_UNIT:
         return

@@ -100,9 +100,9 @@ def read_dem(dem: Dem, options: DemOptions | None = None) -> HeightField:
 
 
 def field_in_memory(dem: Any, options: DemOptions | None = None) -> HeightField | None:
-    """Return an array's, an open dataset's or a field's field, or None.
+    """Return the height field of a DEM in memory; None for files.
 
-    Raises as `read_dem`.
+    A DEM in memory is an array, an open dataset or a height field. Raises as `read_dem`.
     """
     if isinstance(dem, HeightField):
         return dem

@@ -159,7 +159,7 @@ class Blocks:
         self._sums[down, right] = total
 
     def _move_to_memory(self) -> None:
-        """Copy the file's blocks; the others may have no page."""
+        """Move the known blocks to memory; the file may lack the others."""
         values = np.empty(self._shape, dtype=np.float32)
         for down, right in np.argwhere(self.is_known | (self._sums > 0)):
             block = block_slices(self._shape, down, right)

@@ -109,7 +109,7 @@ def _read(tiles: Sequence[Tile]) -> Mosaic:
 def _read_ahead(tiles: Sequence[Tile]) -> Iterator[tuple[Tile, Parts]]:
     """Yield tiles with their heights.
 
-    While one tile is laid, others are read and unpacked.
+    While the caller works on one tile, the next ones are read and unpacked.
     """
     if len(tiles) == 1:
         yield tiles[0], tiles[0].read()
@@ -119,7 +119,7 @@ def _read_ahead(tiles: Sequence[Tile]) -> Iterator[tuple[Tile, Parts]]:
         ahead = iter(tiles)
         for tile in tiles:
             for one in itertools.islice(ahead, _READERS - len(waiting)):
-                # A tile beyond some strips would take much memory beside the mosaic.
+                # A larger tile would take much memory beside the mosaic: it is read strip by strip.
                 is_small = one.grid.rows * one.grid.cols <= 4 * STRIP_SAMPLES
                 waiting.append(pool.submit(list if is_small else iter, one.read()))
             yield tile, waiting.popleft().result()

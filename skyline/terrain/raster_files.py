@@ -150,7 +150,7 @@ def check_whole(source: str) -> None:
 
 
 def filled_share(source: str, dataset: Any) -> float:
-    """Return the greatest share of a grid that listed points fill.
+    """Return the greatest share of a grid that listed points can fill.
 
     GDAL lays the grid through all points, and gives 0 where there is no point.
     """

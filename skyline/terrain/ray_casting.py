@@ -29,8 +29,8 @@ def edge_crossings_m(
     """Return the distances at which level rays cross edges.
 
     The K rays are followed from ``near_m`` to ``far_m`` (K,). The surface is a plane between two
-    neighbouring crossings. Returns distances (K, C), unsorted, and which of them are crossings; the
-    others are ``near_m``.
+    neighbouring crossings. Returns distances (K, C), unsorted, and a mask of the crossings among
+    them; all other distances are ``near_m``.
     """
     row, col = field.to_grid(easting_m=eye.easting_m, northing_m=eye.northing_m)
     down = -np.cos(azimuth_rad) / field.spacing_north_m
@@ -77,7 +77,7 @@ def first_hits_m(
     for start in range(0, len(begins) - 1, at_once):
         bounds = begins[start : start + at_once + 1]
         rays = order[bounds[0] : bounds[-1]]
-        # The middle of its rays' azimuths, so that rays of one azimuth are met exactly.
+        # A profile follows the middle of its rays' azimuths: rays of one azimuth are met exactly.
         begin = bounds[:-1] - bounds[0]
         least = np.minimum.reduceat(azimuth_rad[rays], begin)
         most = np.maximum.reduceat(azimuth_rad[rays], begin)

@@ -8,9 +8,10 @@ strip by strip, so that a field of hundreds of millions of samples costs little 
 While a DEM is being read, NaN marks a void, and -inf a void that the file does not declare. +inf
 marks a sample that no file covers: it is never filled, and does not count as a neighbour.
 
-Fill is an undeclared constant in place of heights that were never measured, such as the zeros round
-a footprint that was turned. It would look like a plain over which an eye sees far. It differs from
-water by its rim: no terrain rises as steeply as a spike along half of a shore.
+Fill is an undeclared constant in place of heights that were never measured, such as zeros in the
+corners of a raster around a scene that lies turned on the map. It would look like a plain over
+which an eye sees far. It differs from water by its rim: no terrain rises as steeply as a spike
+along half of a shore.
 """
 
 import logging
@@ -343,7 +344,7 @@ def _heights(heights_m: Float32Array, samples: Int64Array) -> Float64Array:
 
 
 def _find(samples: Int64Array, wanted: Int64Array) -> tuple[Int64Array, BoolArray]:
-    """Return wanted indices' slots among ascending samples, and which are there."""
+    """Return the slots of ``wanted`` in ascending ``samples``, and which exist."""
     slot = np.minimum(np.searchsorted(samples, wanted), samples.size - 1)
     return slot, samples[slot] == wanted
 

@@ -131,9 +131,9 @@ class Warp:
         bounds = np.empty((2, *block_counts((target.rows, target.cols))), dtype=np.float32)
         bounds[0] = np.inf
         bounds[1] = -np.inf
-        # Extremes of the source's rows and columns lie on a block's border, between nodes too
-        # little farther out to leave the margin. A summit may lie a sample beyond the block: its
-        # first and its last node are the samples beside it.
+        # A block's extreme source rows and columns lie on its border. Between nodes they may lie
+        # farther out than at the nodes, but by less than the margin. A summit may lie a sample
+        # beyond the block, so the block's first and last nodes are the samples beside it.
         row, col = self._positions(
             *(
                 np.concatenate(

@@ -69,7 +69,7 @@ class Session:
         photo.path.unlink(missing_ok=True)
 
     def page_closed(self) -> None:
-        """Count a page that was closed."""
+        """Note that a page was closed."""
         self.pages -= 1
         self.closed_at = time.monotonic()
 
