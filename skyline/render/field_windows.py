@@ -251,8 +251,8 @@ class _Atlas:
         self._levels: list[list[tuple[int, int, tuple[int, int, int]]]] = []
         height = top = 0
         for number, tree in enumerate(shapes):
-            stack, place = divmod(number, 2)
-            top = top if place else 0
+            stack, nth = divmod(number, 2)
+            top = top if nth else 0
             levels = []
             for shape in tree:
                 levels.append((top, stack * width, shape))
@@ -278,12 +278,12 @@ class _Atlas:
 
         ``before`` has the `blocks_before` of each tree.
         """
-        places = []
+        by_tree = []
         for levels, blocks in zip(self._levels, before, strict=True):
             here = [(top, shape[1], left + blocks) for top, left, shape in levels]
-            places.append((*here, *[(0, 0, 0)] * (MAX_LEVELS - len(here))))
+            by_tree.append((*here, *[(0, 0, 0)] * (MAX_LEVELS - len(here))))
         texture = _upload(ctx, self._texels, self._texels.dtype.str[1:])
-        return Trees(texture, tuple(places[heading % len(places)] for heading in HEADINGS))
+        return Trees(texture, tuple(by_tree[heading % len(by_tree)] for heading in HEADINGS))
 
 
 def _quadrant(heading: int, grows: bool) -> tuple[bool, bool]:

@@ -93,11 +93,11 @@ class Eyes:
     def __len__(self) -> int:
         return len(self._order)
 
-    def groups(self, seen: BoolArray) -> Iterator[EyeGroup]:
+    def groups(self, is_marked: BoolArray) -> Iterator[EyeGroup]:
         """Yield the marked eyes (N,) for each occurring heading and precision."""
         kind = 2 * self._heading.astype(np.int64) + self._is_double
-        for value in np.unique(kind[seen]):
-            rows = np.flatnonzero(seen & (kind == value))
+        for value in np.unique(kind[is_marked]):
+            rows = np.flatnonzero(is_marked & (kind == value))
             yield EyeGroup(rows, heading=int(value) // 2, is_double=bool(value % 2))
 
     def in_order(self, values: NDArray[_Scalar]) -> NDArray[_Scalar]:
@@ -306,11 +306,12 @@ class ColumnRenderer(Renderer):
             self._march(self._windows[index], eyes, home == index, is_first=True)
         # In a fixed order, so that a view is the same in any batch, its marks of holes included.
         for index, window in enumerate(self._windows):
-            seen = (home != index) & self._may_rise(window, eyes)
-            if seen.any():
-                # The field may know no more than a bound of its heights; the window knows them.
+            may_rise = (home != index) & self._may_rise(window, eyes)
+            if may_rise.any():
+                # A window that is loaded knows its greatest height, the field perhaps only a bound.
                 self._load(window)
-                self._march(window, eyes, seen & self._may_rise(window, eyes), is_first=False)
+                may_rise &= self._may_rise(window, eyes)
+                self._march(window, eyes, may_rise, is_first=False)
         v, depth, flags = (
             eyes.in_order(self._read(index, len(eyes), kind))
             for index, kind in enumerate(("<f4", "<f4", "<u4"))
@@ -383,14 +384,14 @@ class ColumnRenderer(Renderer):
             del self._resident[oldest]
         self._ctx.gc()
 
-    def _march(self, window: Window, eyes: Eyes, seen: BoolArray, *, is_first: bool) -> None:
+    def _march(self, window: Window, eyes: Eyes, is_marked: BoolArray, *, is_first: bool) -> None:
         """March over a window from the marked eyes (N,).
 
         ``is_first`` is whether no march has written the results of these eyes before.
         """
         textures = self._load(window)
         placed = eyes.relative_to(window)
-        for group in eyes.groups(seen):
+        for group in eyes.groups(is_marked):
             self._march_group(textures, placed[group.rows], group, is_first)
 
     def _march_group(

@@ -126,9 +126,9 @@ def _draw_viewpoints(axis: Axes, viewpoints: Viewpoints, area: Bbox) -> int:
 
     Dots are smaller than the distance between neighbours, so that the map shows between them.
     """
-    places = np.unique(np.stack([viewpoints.easting_m, viewpoints.northing_m], axis=1), axis=0)
-    inside = places[((area.min <= places) & (places <= area.max)).all(axis=1)]
-    distances_m, _ = cKDTree(places).query(inside, k=2)
+    positions = np.unique(np.stack([viewpoints.easting_m, viewpoints.northing_m], axis=1), axis=0)
+    inside = positions[((area.min <= positions) & (positions <= area.max)).all(axis=1)]
+    distances_m, _ = cKDTree(positions).query(inside, k=2)
     point_m = area.width / (72.0 * _WIDTH_IN)
     size = np.clip(0.35 * np.asarray(distances_m)[:, 1] / point_m, 0.25, 2.25)
     axis.scatter(inside[:, 0], inside[:, 1], size**2, color="black", alpha=0.7, linewidths=0.0)
@@ -168,11 +168,11 @@ def _draw_peaks(axis: Axes, labels: Sequence[Label[Sighting]], area: Bbox) -> No
         peak = label.peak
         across = (peak.easting_m - area.x0) / area.width
         side = "left" if across < 0.2 else "right" if across > 0.8 else "center"
-        place = peak.easting_m, peak.northing_m
-        axis.plot(*place, "^", color="black", markeredgecolor="white", markersize=7, zorder=5)
+        position = peak.easting_m, peak.northing_m
+        axis.plot(*position, "^", color="black", markeredgecolor="white", markersize=7, zorder=5)
         axis.annotate(
             label.text,
-            place,
+            position,
             xytext=(0, -6),
             textcoords="offset points",
             ha=side,
@@ -352,9 +352,9 @@ class ReliefTiles:
         across = np.hypot(np.diff(easting, axis=1), np.diff(northing, axis=1)).mean() / step
         pixel_m = float(across) if np.isfinite(across) else 1e6
         # Far from a frame's middle its projection may be undefined.
-        places = (np.where(np.isfinite(at), at, -1e9) for at in (easting, northing))
+        known = (np.where(np.isfinite(at), at, -1e9) for at in (easting, northing))
         east, north = (
-            ndimage.zoom(at, (TILE_PX + 2) / mesh, order=1, mode="nearest") for at in places
+            ndimage.zoom(at, (TILE_PX + 2) / mesh, order=1, mode="nearest") for at in known
         )
         heights = self._terrain.height_at(easting_m=east, northing_m=north).astype(np.float32)
         picture = relief(heights, pixel_m, self._range_m)[..., [2, 1, 0, 3]]

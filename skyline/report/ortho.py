@@ -94,7 +94,7 @@ def grid_of(views: Sequence[GroundView], resolution_m: float | None = None) -> C
     Raises `InputError` where no camera sees ground, and for a resolution that is too fine.
     """
     seen = [_detail(view) for view in views]
-    place, length_m = (np.concatenate(part) for part in zip(*seen, strict=True))
+    position_m, length_m = (np.concatenate(part) for part in zip(*seen, strict=True))
     if not len(length_m):
         raise InputError("the photos show no ground of the DEM; check the poses and the DEM")
     cell_m = resolution_m or float(np.median(length_m)) / 2.0
@@ -106,8 +106,8 @@ def grid_of(views: Sequence[GroundView], resolution_m: float | None = None) -> C
                 f"{_SETTINGS.coarsest * cell_m:g} m on the ground; give a coarser one, of about "
                 f"{float(np.median(length_m)):.1g} m"
             )
-        west, south = np.floor(place[near].min(axis=0) / cell_m - 1.0) * cell_m
-        east, north = np.ceil(place[near].max(axis=0) / cell_m + 1.0) * cell_m
+        west, south = np.floor(position_m[near].min(axis=0) / cell_m - 1.0) * cell_m
+        east, north = np.ceil(position_m[near].max(axis=0) / cell_m + 1.0) * cell_m
         rows, cols = round((north - south) / cell_m), round((east - west) / cell_m)
         if rows * cols <= _SETTINGS.most_cells:
             return CellGrid(float(west), float(north), cell_m, rows, cols)

@@ -42,8 +42,8 @@ def draw_overlay(
 ) -> tuple[bytes, UnnamedPeaks]:
     """Draw skylines and the names of peaks over a photo.
 
-    Returns a JPEG and the peaks left unnamed. Without a photo the canvas is blank.
-    ``pose`` is the pose from which ``sight`` and ``peaks`` are seen; see `draw_labels`.
+    Returns a JPEG and the peaks left unnamed. Without a photo the canvas is blank. ``sight`` and
+    ``peaks`` are seen from ``pose``; see `draw_labels`.
     """
     texts = [one.label for one in peaks]
     # The legend has two rows, 46 px high.
@@ -164,10 +164,10 @@ def _draw_picture(
 ) -> tuple[Figure, Axes, UnnamedPeaks]:
     """Draw the photo with the peaks' texts above it.
 
-    Without a photo, a blank canvas is drawn. Below the photo, ``foot_px`` are left empty, and a line
-    counts the names that no font draws. The picture is at most 1600 px wide and high, and at least
-    700 px wide if that leaves it no higher. Returns the figure, axes in pixels of the photo, and
-    the peaks without their texts.
+    Without a photo, a blank canvas is drawn. Below it, ``foot_px`` are left empty, and a line tells
+    the number of names that no font draws. The picture is at most 1600 px wide and high, and at
+    least 700 px wide if that leaves it no higher. Returns the figure, axes in pixels of the photo,
+    and the peaks without their texts.
     """
     figure = Figure(dpi=_DPI)
     FigureCanvasAgg(figure)

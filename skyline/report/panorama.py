@@ -352,9 +352,9 @@ def _title(view: PanoramaView) -> str:
     """Return the place and the eye's height in words."""
     landscape = view.landscape
     eye = landscape.eye
-    place = {"easting_m": eye.easting_m[0], "northing_m": eye.northing_m[0]}
-    lon, lat = (float(at) for at in landscape.terrain.frame.to_lonlat(*place.values()))
-    surface_m = float(landscape.terrain.height_at(**place))
+    position = {"easting_m": eye.easting_m[0], "northing_m": eye.northing_m[0]}
+    lon, lat = (float(at) for at in landscape.terrain.frame.to_lonlat(*position.values()))
+    surface_m = float(landscape.terrain.height_at(**position))
     ground_m = float(eye.eye_elevation_m[0]) - view.config.eye_height_m
     # A lift of less than half a metre does not show in whole metres.
     beside = ", as high as the summit beside it" if ground_m - surface_m > 0.5 else ""

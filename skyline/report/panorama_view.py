@@ -147,9 +147,9 @@ class Landscape:
     def of(cls, terrain: HeightField, eye: Viewpoints, azimuth_deg: Float64Array) -> Self:
         """Return the terrain that one eye sees.
 
-        The azimuths (C,) of its columns have equal steps. The Earth is curved, with refraction k =
-        0.13; ridges have the exact height of the surface. Raises `InputError` if no terrain is
-        visible.
+        The azimuths (C,) of its columns have equal steps. The ground has the curvature of the
+        terrain's frame; ridges have the exact height of the surface. Raises `InputError` if no
+        terrain is visible.
         """
         curvature = terrain.frame.curvature
         turn_deg = terrain.frame.convergence_deg(easting_m=eye.easting_m, northing_m=eye.northing_m)
@@ -189,8 +189,8 @@ class Landscape:
     @property
     def convergence_deg(self) -> float:
         """Azimuth from true north minus grid azimuth, at the eye."""
-        place = {"easting_m": self.eye.easting_m[0], "northing_m": self.eye.northing_m[0]}
-        return float(self.terrain.frame.convergence_deg(**place))
+        position = {"easting_m": self.eye.easting_m[0], "northing_m": self.eye.northing_m[0]}
+        return float(self.terrain.frame.convergence_deg(**position))
 
     @property
     def reach_m(self) -> float:
@@ -215,11 +215,10 @@ class Landscape:
         return seen.T
 
     def ridges(self) -> tuple[Float64Array, Float32Array]:
-        """Return R distances, and the ridges (R, C) between them.
+        """Return where ranges of distance begin (R,), and the ridges in them.
 
-        A range begins at its distance and ends where the next begins; ten of them double the
-        distance. A ridge is the elevation angle of the highest point in a range; NaN where the
-        range has none.
+        A range ends where the next begins; ten of them double the distance. A ridge of a column, in
+        (R, C), is the elevation angle of the highest ridge point in a range; NaN where it has none.
         """
         a_doubling = 10
         first_m = float(self.distance_m.min(initial=np.inf))

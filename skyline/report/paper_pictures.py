@@ -160,7 +160,7 @@ def _largest(coverage: Coverage) -> Float64Array:
     for row, col, area, size in zip(
         *grid.row_col(coverage.viewpoints), coverage.areas, sizes, strict=True
     ):
-        place = largest[row : row + grid.window, col : col + grid.window]
-        np.maximum(place, area * float(size), out=place)
+        around = largest[row : row + grid.window, col : col + grid.window]
+        np.maximum(around, area * float(size), out=around)
     inner = largest[grid.reach : -grid.reach, grid.reach : -grid.reach]
     return np.where(inner > 0.0, inner, np.nan)

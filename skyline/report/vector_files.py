@@ -119,9 +119,9 @@ def _errors(points: GroundPoints, index: int, frame: Frame) -> Json:
     """Return a point's place and its errors."""
     one = points[index : index + 1]
     major_m, minor_m, azimuth = (float(part[0]) for part in one.axes)
-    place = {"easting_m": one.easting_m, "northing_m": one.northing_m}
+    position = {"easting_m": one.easting_m, "northing_m": one.northing_m}
     lon, lat, elevation_m = _coordinates(one, frame)[0].tolist()
-    turn_deg = np.degrees(azimuth) + float(frame.convergence_deg(**place)[0])
+    turn_deg = np.degrees(azimuth) + float(frame.convergence_deg(**position)[0])
     return {
         "lon": lon,
         "lat": lat,

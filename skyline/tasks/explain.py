@@ -30,12 +30,12 @@ def explain_skyline(terrain: HeightField, eye: Viewpoints) -> dict[str, object]:
     config = RenderConfig()
     views = render_views(terrain, eye, config)
     drop_per_m2 = config.curvature.drop_per_m2
-    place = {"easting_m": float(eye.easting_m[0]), "northing_m": float(eye.northing_m[0])}
+    position = {"easting_m": float(eye.easting_m[0]), "northing_m": float(eye.northing_m[0])}
     eye_m = float(eye.eye_elevation_m[0])
-    reach_m = terrain.reach_m(**place)
+    reach_m = terrain.reach_m(**position)
     sight_m = sight_range_m(terrain, eye_m, drop_per_m2)
     return {
-        **place,
+        **position,
         "eye_elevation_m": eye_m,
         "width": config.width,
         "skyline_depth_m": [float(v) for v in np.nanquantile(views.depth_m, [0.0, 0.5, 1.0])]

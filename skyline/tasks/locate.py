@@ -102,7 +102,7 @@ def serving_command(area: Path, photos: Sequence[str]) -> str:
     If there are very many photos, it names the first ones.
     """
     home = f"{Path.home()}{os.sep}"
-    # A report may be shown to others, whom the name of a home is not to be told.
+    # Others who read the report need not learn the user's name, which the home folder has.
     words = [shlex.quote(str(area).removeprefix(home)), *map(shlex.quote, photos[:9])]
     if str(area).startswith(home):
         words[0] = f"~/{words[0]}"

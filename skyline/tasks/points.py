@@ -85,10 +85,11 @@ def orient_by_points(task: PointsTask, listener: Listener) -> PointsFit:
 
 
 def _standing(task: PointsTask, viewer: Viewer, photo: PhotoSkyline) -> KnownCamera:
-    """Return the camera at the given place, or the photo's own."""
-    place = task.at.position_of(photo, str(task.photo))
-    if not place.position_sd_m > 0.0:
+    """Return the camera at the given position, or the photo's own."""
+    position = task.at.position_of(photo, str(task.photo))
+    if not position.position_sd_m > 0.0:
         raise InputError(
-            f"the standard deviation of the position is {place.position_sd_m:g} m; expected above 0"
+            f"the standard deviation of the position is {position.position_sd_m:g} m; expected "
+            "above 0"
         )
-    return KnownCamera.at(viewer, photo, **place._asdict(), heading_deg=task.at.heading_deg)
+    return KnownCamera.at(viewer, photo, **position._asdict(), heading_deg=task.at.heading_deg)

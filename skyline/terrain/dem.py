@@ -13,7 +13,7 @@ from skyline.errors import InputError
 from skyline.terrain.dem_files import Paths, dem_names
 from skyline.terrain.field_files import SUFFIX, read_field
 from skyline.terrain.heightfield import HeightField, field_of
-from skyline.terrain.kept_models import keep_model, kept_model, noted_warnings, place_of
+from skyline.terrain.kept_models import keep_model, kept_model, noted_warnings, path_of
 from skyline.terrain.metric_dem import metric_dem
 from skyline.terrain.provenance import DemOptions
 
@@ -89,14 +89,14 @@ def read_dem(dem: Dem, options: DemOptions | None = None) -> HeightField:
     names = dem_names(dem)
     if len(names) == 1 and Path(names[0]).suffix == SUFFIX:
         return read_field(Path(names[0]))
-    place = place_of(names, options)
-    if place is None:
+    path = path_of(names, options)
+    if path is None:
         return field_of(metric_dem(_read(names, options), options))
-    if kept := kept_model(place):
+    if kept := kept_model(path):
         return kept
     with noted_warnings() as warnings:
         dem = metric_dem(_read(names, options), options)
-    return keep_model(dem, place, warnings)
+    return keep_model(dem, path, warnings)
 
 
 def field_in_memory(dem: Any, options: DemOptions | None = None) -> HeightField | None:

@@ -209,7 +209,7 @@ def _field_in(file: BinaryIO, path: Path, fresh: MetricDem | None) -> HeightFiel
     Raises `ValueError` for any other file.
     """
     head = file.readline(_LONGEST_LINE)
-    about = json.loads(_believed(head.removesuffix(b"\n")))
+    about = json.loads(_checked(head.removesuffix(b"\n")))
     if about["format"] != _FORMAT:
         raise ValueError("another format")
     layout = _Layout.of(about, len(head))
@@ -220,7 +220,7 @@ def _field_in(file: BinaryIO, path: Path, fresh: MetricDem | None) -> HeightFiel
     if checksum(bounds_m) != about["bounds_sum"]:
         raise ValueError("damaged bounds")
     with suppress(OSError):
-        os.utime(path)  # Files that were not used for long are removed first.
+        os.utime(path)  # The least recently used files are removed first.
     for logger, message in () if fresh else about["warnings"]:
         logging.getLogger(logger).warning("%s", message)
     make: MakeBlock
@@ -251,18 +251,18 @@ def _summed(content: bytes) -> bytes:
     return content + b"%0*x" % (_SUM_LENGTH, zlib.crc32(content))
 
 
-def _believed(content: bytes) -> bytes:
+def _checked(content: bytes) -> bytes:
     """Return content without its checksum; `ValueError` if that is wrong."""
-    believed = content[:-_SUM_LENGTH]
-    if _summed(believed) != content:
+    checked = content[:-_SUM_LENGTH]
+    if _summed(checked) != content:
         raise ValueError("another file, or a damaged one")
-    return believed
+    return checked
 
 
 def _digest_in(content: bytes) -> str:
     """Return the digest in a file; empty if there is none."""
     with suppress(ValueError):
-        return _believed(content).decode()
+        return _checked(content).decode()
     return ""
 
 

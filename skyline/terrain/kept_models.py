@@ -75,7 +75,7 @@ def _kept() -> list[tuple[int, Path]]:
     return [(512 * about.st_blocks, path) for about, path in known]
 
 
-def place_of(names: Sequence[str], options: DemOptions) -> Path | None:
+def path_of(names: Sequence[str], options: DemOptions) -> Path | None:
     """Return where the model of some files is kept.
 
     Returns None for files that may change unnoticed.
@@ -145,18 +145,18 @@ def _stem(path: Path) -> str:
     return path.name.split(".")[0].lower()
 
 
-def kept_model(place: Path) -> HeightField | None:
-    """Return the model that is kept at a place, or None."""
-    if not is_file(place):
+def kept_model(path: Path) -> HeightField | None:
+    """Return the model that is kept at a path, or None."""
+    if not is_file(path):
         return None
     try:
-        return read_field(place)
+        return read_field(path)
     except SkylineError as error:
         _log.debug("%s", error)
         return None
 
 
-def keep_model(dem: MetricDem, place: Path, warnings: Sequence[LoggedWarning]) -> HeightField:
+def keep_model(dem: MetricDem, path: Path, warnings: Sequence[LoggedWarning]) -> HeightField:
     """Keep a model that was read, and return it.
 
     A small model, or one for which the disk has no room, stays only in memory.
@@ -164,13 +164,13 @@ def keep_model(dem: MetricDem, place: Path, warnings: Sequence[LoggedWarning]) -
     if dem.grid.rows * dem.grid.cols < _LEAST_SAMPLES:
         return field_of(dem)
     try:
-        place.parent.mkdir(parents=True, exist_ok=True)
-        if not _has_room(place.parent, dem):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if not _has_room(path.parent, dem):
             return field_of(dem)
-        save_dem(dem, place, warnings)
-        return read_field(place, dem)
+        save_dem(dem, path, warnings)
+        return read_field(path, dem)
     except (OSError, SkylineError) as error:
-        _log.debug("%s is not kept: %s", place, error)
+        _log.debug("%s is not kept: %s", path, error)
         return field_of(dem)
 
 

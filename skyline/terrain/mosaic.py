@@ -93,8 +93,8 @@ def _read(tiles: Sequence[Tile]) -> Mosaic:
     heights = np.full((grid.rows, grid.cols), np.inf, dtype=np.float32)
     for (tile, parts), (row, col) in zip(_read_ahead(tiles), offsets, strict=True):
         borders = _free_borders(heights, row, col, tile.grid)
-        place = heights[row : row + tile.grid.rows, col : col + tile.grid.cols][tile.north_up]
-        _lay_tile(place, tile, parts)
+        target = heights[row : row + tile.grid.rows, col : col + tile.grid.cols][tile.north_up]
+        _lay_tile(target, tile, parts)
         _check_step(borders, tile)
     return Mosaic(
         heights,
@@ -125,17 +125,18 @@ def _read_ahead(tiles: Sequence[Tile]) -> Iterator[tuple[Tile, Parts]]:
             yield tile, waiting.popleft().result()
 
 
-def _lay_tile(place: Float32Array, tile: Tile, parts: Parts) -> None:
-    """Read a tile into its place; heights of earlier tiles stay.
+def _lay_tile(target: Float32Array, tile: Tile, parts: Parts) -> None:
+    """Read a tile into the mosaic; heights of earlier tiles stay.
 
-    Warns if they differ, and raises `InputError` if they show different ground.
+    ``target`` is the tile's part of the mosaic, in the order of its rows and columns. Warns if
+    heights differ, and raises `InputError` if the tiles show different ground.
     """
     disagreement_m = 0.0
     shared = 0
     other = 0
     has_level = False
     for rows, fresh in parts:
-        old = place[rows]
+        old = target[rows]
         # A height beyond all ground is an undeclared void.
         known = np.isfinite(old) & (np.abs(old) <= ABSURD_M)
         both = known & np.isfinite(fresh)

@@ -374,25 +374,25 @@ def _remove_fill(heights_m: Float32Array, value: float, step_m: float, rules: Re
     from scipy.ndimage import label  # noqa: PLC0415  (slow to load, seldom needed)
 
     has_value = heights_m == np.float32(value)
-    place, count = label(has_value)
-    is_large = np.bincount(place.ravel()) >= rules.min_fill_samples
+    patch, count = label(has_value)
+    is_large = np.bincount(patch.ravel()) >= rules.min_fill_samples
     removed = np.zeros(heights_m.shape, dtype=np.bool_)
-    # Turned and flipped views of one array let the four sides of a place be treated alike.
+    # Turned and flipped views of one array let the four sides of a patch be treated alike.
     for turned in (np.asarray, np.transpose):
         sides = []
         for flipped in (np.asarray, np.fliplr):
-            field_m, inside, places, view = (
-                flipped(turned(grid)) for grid in (heights_m, has_value, place, removed)
+            field_m, inside, patches, view = (
+                flipped(turned(grid)) for grid in (heights_m, has_value, patch, removed)
             )
             row, col = np.nonzero(inside[:, :-1] & ~inside[:, 1:])
             wall = _walls(field_m, row, col, value, step_m, rules.wall_reach_samples)
-            sides.append((view, places[row, col], row, col, wall))
+            sides.append((view, patches[row, col], row, col, wall))
         of_rim = np.concatenate([of for _, of, *_ in sides])
         has_wall = np.concatenate([wall > 0 for *_, wall in sides])
         rim = np.bincount(of_rim, minlength=count + 1)
         walls = np.bincount(of_rim[has_wall], minlength=count + 1)
         is_fill = is_large & (rim >= rules.min_rim_samples) & (walls >= rules.walled_share * rim)
-        removed |= is_fill[place]
+        removed |= is_fill[patch]
         for view, of, row, col, wall in sides:
             for step in range(1, rules.wall_reach_samples):
                 ramp = is_fill[of] & (wall > step)

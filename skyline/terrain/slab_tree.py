@@ -168,8 +168,7 @@ def fill_mark_levels(marks: BoolArray, slopes: Float64Array, levels: Sequence[UI
                 slab_of = np.concatenate([slab_of, slab_of[column > 0]])
                 column = np.concatenate([column, column[column > 0] - 1])
             column //= slab // max(step, 1)
-            places = np.unique(np.stack([slab_of // SLABS, column]), axis=1)
-            slab_of, column = places
+            slab_of, column = np.unique(np.stack([slab_of // SLABS, column]), axis=1)
             step = slab
             slab *= SLABS
         _mark_level(slab_of, column, step, slab, slopes, level)

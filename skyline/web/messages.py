@@ -59,8 +59,8 @@ def strokes_of(asked: Any) -> list[Stroke]:
         ):
             raise InputError("the points of a stroke are not a list of pairs of a column and a row")
         pairs = [dict(zip(("column", "row"), point, strict=True)) for point in points]
-        places = tuple((number(pair, "column"), number(pair, "row")) for pair in pairs)
-        strokes.append(Stroke(StrokeKind(one["kind"]), places, number(one, "radius")))
+        points_px = tuple((number(pair, "column"), number(pair, "row")) for pair in pairs)
+        strokes.append(Stroke(StrokeKind(one["kind"]), points_px, number(one, "radius")))
     return strokes
 
 
