@@ -38,7 +38,7 @@ def check(context: typer.Context, store: StoreFile, as_json: AsJson = False) -> 
             terminal.line(json.dumps({"store": printable(store), "whole": report.whole, **facts}))
         raise typer.Exit(0 if report.whole else InputError.exit_code)
     if report.damage and not report.rows:
-        raise InputError(report.damage[0].what)  # It cannot be opened, which names the store.
+        raise InputError(report.damage[0].what)  # The error of opening the store names it.
     if not report.whole:
         first = "; ".join(damage.what for damage in report.damage[:3])
         more = f"; and {len(report.damage) - 3} more" if len(report.damage) > 3 else ""

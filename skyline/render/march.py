@@ -162,7 +162,10 @@ class Eyes:
         return np.sort(right, axis=0), np.sort(ahead, axis=0)
 
     def _gap_m(self, window: Window, position: Float64Array) -> Float64Array:
-        """Return how far positions (..., 2) lie from a window."""
+        """Return how far positions lie from a window, along each axis.
+
+        Positions (..., 2) are rows and columns; distances (..., 2) are metres.
+        """
         first = np.array([window.row, window.col])
         last = first + np.array([window.rows, window.cols]) - 1
         outside = np.maximum(np.maximum(first - position, position - last), 0.0)
@@ -187,7 +190,7 @@ def _needs_double(
     Near these eyes, float32 blurs v by more than ``near_error_v``.
 
     A crossing at depth z among heights up to H above or below the eye has v to within r H / z,
-    where r is the relative rounding error of its height. An edge nearer than c / (G + 2 H / s) is
+    where r is the relative rounding error of its height. An edge nearer than c / (2 (G + H / s)) is
     below what follows it (c the eye's height over ground, G the steepest slope around, s the
     spacing), so that its error cannot show. The edges between these two depths are computed in
     float64.

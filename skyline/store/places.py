@@ -96,7 +96,8 @@ _WAVES = np.concatenate([[0.0], np.exp(1j * _PHASE)]).astype(np.complex64)
 def encode_rises(elevation_tan: Float32Array) -> tuple[Float32Array, Int8Array]:
     """Return skylines' (N, B) first tangents (N,) and rises (N, B).
 
-    The first bin's byte is 0; where it has no skyline, the rises begin from 0.
+    The first bin's byte is 0. Without a skyline there, it is `UNKNOWN_RISE`, and the rises begin
+    from a tangent of 0.
     """
     # One bin per row, so that values that are processed together lie together in memory.
     y = np.ascontiguousarray(elevation_tan.T)

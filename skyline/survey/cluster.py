@@ -92,7 +92,7 @@ class Runner:
     client: Any
     retries: int = 2
     """Further attempts at a job that raised an error. A job whose worker died is tried again on
-    another; after `distributed.scheduler.allowed-failures` deaths (3) dask blames the job."""
+    another; if more than `distributed.scheduler.allowed-failures` (3) die, dask blames the job."""
 
     def __call__(
         self,

@@ -64,14 +64,13 @@ def orient_by_points(task: PointsTask, listener: Listener) -> PointsFit:
         picture, noted = read_posed(task.photo, task.pose, task.projection)
     photo = picture.blank
     points.check_photo(task.photo, photo.width_px, photo.height_px)
-    if noted is not None:
-        if noted.covariance is None:
-            raise InputError(
-                f"{task.pose} has no covariance, so nothing says how far it may be refined; give "
-                "the output of `match --json` or `orient --json`, or its position with --at"
-            )
-    else:
+    if noted is None:
         task.at.position_of(photo, str(task.photo))  # Refused before the DEM is read
+    elif noted.covariance is None:
+        raise InputError(
+            f"{task.pose} has no covariance, so nothing says how far it may be refined; give the "
+            "output of `match --json` or `orient --json`, or its position with --at"
+        )
     terrain = read_terrain(listener, task.dem, task.crs)
     with Viewer(terrain) as viewer:
         if noted is not None:

@@ -34,7 +34,7 @@ class DataEdge:
     """
 
     bounds_m: Rectangle
-    """The outermost samples."""
+    """West, south, east and north of the outermost samples."""
     highest_m: Float32Array
     """(4, P) float32. Greatest height of terrain past each of P equal parts of the sides: west,
     south, east, north. The parts run from south to north and from west to east."""

@@ -222,7 +222,7 @@ class LazyHeights:
     def part(self, rows: slice, cols: slice) -> Float32Array:
         """Return the heights at some rows and columns, read-only."""
         self._ensure(self._touched(rows, cols))
-        return self._seen()[rows, cols]
+        return self._read_only()[rows, cols]
 
     def at(self, row: Int64Array, col: Int64Array) -> Float32Array:
         """Return the heights at rows and columns, which broadcast."""
@@ -285,7 +285,7 @@ class LazyHeights:
         with ThreadPoolExecutor(_THREADS) as pool:
             list(pool.map(put, missing))
 
-    def _seen(self) -> Float32Array:
-        seen = self._blocks.values.view(np.ndarray)
-        seen.setflags(write=False)
-        return seen
+    def _read_only(self) -> Float32Array:
+        values = self._blocks.values.view(np.ndarray)
+        values.setflags(write=False)
+        return values

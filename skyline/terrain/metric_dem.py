@@ -69,8 +69,8 @@ def metric_dem(mosaic: "Mosaic", options: DemOptions) -> MetricDem:
 
     Heights are repaired on their files' own grid, and warped if its map cannot be the frame. Warns
     if the DEM lies far off the area of its CRS, or if a projected map is not used. Raises
-    `InputError` if the DEM lies nowhere on Earth or has no heights at all, and as
-    `skyline.terrain.resampling.Warp`.
+    `InputError` if the DEM's middle is no place on its world or the DEM has no heights at all, and
+    as `skyline.terrain.resampling.Warp`.
     """
     crs = mosaic.crs
     grid = mosaic.grid

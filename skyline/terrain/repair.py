@@ -176,14 +176,15 @@ def remove_spikes(
     """Turn spikes into voids; return the number of their samples.
 
     Spikes point upward or downward. A sample is a spike if its height is absurd (beyond
-    `ABSURD_M`), or if it is part of a clump of at most ``rules.max_spike_samples`` samples that
+    `ABSURD_M`), or if it is part of a clump of at most ``rules.max_spike_samples`` samples of which
+    both are true:
 
-    - no gentle step joins to the rest: every step to a neighbour outside the clump is higher than
-      ``rules.least_step_m(spacing_m)``. A summit, the rim of a cliff of any height and the crest of
-      an arete each have a neighbour that is nearer in height;
-    - stands out: each of its samples is ``rules.stands_out`` times farther from the median of its
-      neighbours (other such clumps left aside) than their quartiles are apart, so that rugged
-      ground keeps its ruggedness.
+    - No gentle step joins the clump to the rest: every step to a neighbour outside it is higher
+      than ``rules.least_step_m(spacing_m)``. A summit, the rim of a cliff of any height and the
+      crest of an arete each have a neighbour that is nearer in height.
+    - The clump stands out: each of its samples is ``rules.stands_out`` times farther from the
+      median of its neighbours (other such clumps left aside) than their quartiles are apart, so
+      that rugged ground keeps its ruggedness.
 
     NaN and +inf samples do not count as neighbours.
     """
