@@ -181,7 +181,8 @@ def _near_m(field: HeightField, viewpoints: Viewpoints, index: int) -> float:
     The plane lies in front of all visible parts of the surface. Within one cell around the eye, the
     surface is no nearer than the eye's clearance over it times the cosine of its steepest slope.
     Beyond, it is no nearer than a cell. A point nearer than the plane and inside a view of 90
-    degrees lies within sqrt(3) times the plane's distance.
+    degrees lies within sqrt(3) times the plane's distance, so the plane stands at half of the least
+    distance.
     """
     easting_m = viewpoints.easting_m[index]
     northing_m = viewpoints.northing_m[index]

@@ -61,8 +61,8 @@ def write_in_photo(
     features = []
     for one in shapes:
         for part, hidden in one.parts(skyline.width_px, skyline.height_px):
-            place = np.round(part, _PIXELS).tolist()
-            geometry = (POINT, place[0]) if one.shape.kind == POINT else (LINE, place)
+            pixels = np.round(part, _PIXELS).tolist()
+            geometry = (POINT, pixels[0]) if one.shape.kind == POINT else (LINE, pixels)
             features.append(feature(*geometry, {**one.shape.properties, "hidden": hidden}))
     write_whole(path, _text(features, **{PHOTO_MEMBER: {"name": photo.name, **size}}))
 
@@ -138,8 +138,8 @@ def _errors(points: GroundPoints, index: int, frame: Frame) -> Json:
 def _coordinates(points: GroundPoints, frame: Frame) -> Float64Array:
     """Return continuous longitudes, latitudes and elevations (N, 3)."""
     lon, lat = frame.to_lonlat(points.easting_m, points.northing_m)
-    places = [np.unwrap(lon, period=360.0), lat, np.round(points.elevation_m, _METRES)]
-    return np.stack([*np.round(places[:2], _DEGREES), places[2]], axis=1)
+    columns = [np.unwrap(lon, period=360.0), lat, np.round(points.elevation_m, _METRES)]
+    return np.stack([*np.round(columns[:2], _DEGREES), columns[2]], axis=1)
 
 
 def _turns_left(ring: Sequence[Sequence[float]]) -> bool:
@@ -156,8 +156,8 @@ def _geopackage(path: Path, features: Sequence[Json]) -> bytes:
         kind = {POINT: "points", LINE: "lines", POLYGON: "polygons"}[one["geometry"]["type"]]
         layers.setdefault(kind, []).append({**one, "properties": {"shape": number, **about}})
         for vertex in one["properties"].get("vertices", ()):
-            place = [vertex["lon"], vertex["lat"], vertex["elevation_m"]]
-            drawn = feature(POINT, place, {"shape": number, **vertex})
+            position = [vertex["lon"], vertex["lat"], vertex["elevation_m"]]
+            drawn = feature(POINT, position, {"shape": number, **vertex})
             layers.setdefault(VERTICES_LAYER, []).append(drawn)
     # Layers are added in a folder of this machine: some network folders lack SQLite's file locks.
     with TemporaryDirectory() as folder:

@@ -98,8 +98,8 @@ class DataEdge:
         with np.errstate(divide="ignore", invalid="ignore"):
             across = width_m / 2.0 / np.abs(sine) - east_m / sine
             along = length_m / 2.0 / np.abs(cosine) - north_m / cosine
-        # A ray due north or south never crosses the east or west side: its distance is NaN, which
-        # counts as the farther one.
+        # A ray due north or south never crosses the east or west side: that distance is infinite
+        # or NaN, and counts as the farther one.
         distance_m = np.fmin(across, along)
         is_across = across <= along
         share = np.where(

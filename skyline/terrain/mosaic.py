@@ -286,9 +286,9 @@ def _with_columns_of(finest: Grid, mosaic: Mosaic, first: Tile) -> Tile:
 def _common_grid(tiles: Sequence[Tile]) -> tuple[Grid, list[tuple[int, int]]]:
     """Return the common grid, and each tile's first row and column."""
     base = tiles[0].grid
-    places = [_place_on_grid(tile, tiles[0]) for tile in tiles]
-    top, left = (min(firsts) for firsts in zip(*places, strict=True))
-    ends = [(r + t.grid.rows, c + t.grid.cols) for (r, c), t in zip(places, tiles, strict=True)]
+    offsets = [_offset_on_grid(tile, tiles[0]) for tile in tiles]
+    top, left = (min(firsts) for firsts in zip(*offsets, strict=True))
+    ends = [(r + t.grid.rows, c + t.grid.cols) for (r, c), t in zip(offsets, tiles, strict=True)]
     bottom, right = (max(lasts) for lasts in zip(*ends, strict=True))
     common = base.part(slice(top, bottom), slice(left, right))
     if common.rows * common.cols > MAX_SAMPLES:
@@ -296,11 +296,11 @@ def _common_grid(tiles: Sequence[Tile]) -> tuple[Grid, list[tuple[int, int]]]:
             f"the DEM spans {common.rows} x {common.cols} samples, more than {MAX_SAMPLES}; give "
             "fewer or adjacent tiles, or a coarser DEM"
         )
-    return common, [(row - top, col - left) for row, col in places]
+    return common, [(row - top, col - left) for row, col in offsets]
 
 
-def _place_on_grid(tile: Tile, first: Tile) -> tuple[int, int]:
-    """Return a tile's row and column on the first one's grid.
+def _offset_on_grid(tile: Tile, first: Tile) -> tuple[int, int]:
+    """Return a tile's first row and column on the first tile's grid.
 
     Raises `InputError` where the tile does not lie on that grid.
     """
