@@ -13,6 +13,7 @@ from skyline.arrays import Float64Array, IntArray
 from skyline.errors import InputError, suffix_of
 from skyline.files import write_whole
 from skyline.geodesy.bounds import in_turn
+from skyline.geodesy.crs import half_axes_m, is_of_earth
 from skyline.horizons import LocalHorizons
 from skyline.tables import csv_lines
 
@@ -36,7 +37,7 @@ def write_horizons(horizons: LocalHorizons, path: Path) -> None:
     Stellarium.
 
     Raises `InputError` where the ending is unknown, the file cannot be written, or a file of one
-    place would hold several, a surface, or an unknown value.
+    place would hold several, a surface, an unknown value, or a horizon of another world.
     """
     kind = kind_of_horizons(path)
     if kind not in _OF_MANY:
@@ -97,7 +98,12 @@ def _known(value: np.floating[Any], digits: int) -> float | None:
 
 
 def _check_one(horizons: LocalHorizons, kind: str) -> None:
-    """Raise `InputError` unless there is one horizon, known everywhere."""
+    """Raise `InputError` unless there is one horizon of the Earth, known everywhere."""
+    if not is_of_earth(horizons.crs):
+        raise InputError(
+            f"{kind} is read by programs for the Earth, and the DEM is of another world, of "
+            f"{half_axes_m(horizons.crs)[0] / 1e3:.0f} km radius; write .csv or .json"
+        )
     if len(horizons) != 1:
         raise InputError(
             f"the file would hold {len(horizons)} horizons, but {kind} holds one; give one place, "

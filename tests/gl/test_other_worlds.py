@@ -12,6 +12,7 @@ from scenes import write_dem
 
 from skyline import Frame, InputError, PhotoSkyline, Viewer, horizon, read_dem, sky_view_grid
 from skyline.geodesy.earth import EARTH_RADIUS_M, Curvature
+from skyline.report.horizon_files import write_horizons
 from skyline.tasks.render import RenderTask
 
 MOON_M = 1_737_400.0
@@ -135,6 +136,14 @@ def test_no_sun_of_the_earth_stands_over_a_moon(moon, around):
         pose = viewer.pose(lon=LON, lat=LAT, heading_deg=180.0, fov_deg=60.0)
         with pytest.raises(InputError, match="another world"):
             viewer.bodies(pose, photo, datetime(2026, 12, 21, 12, tzinfo=UTC))
+
+
+@pytest.mark.parametrize("ending", [".zip", ".hor", ".txt", ".sam.csv", ".hrz"])
+def test_no_program_for_the_earth_is_given_the_horizon_of_a_moon(around, tmp_path, ending):
+    with pytest.raises(InputError, match=r"another world, of 1737 km radius; write \.csv"):
+        write_horizons(around, tmp_path / f"moon{ending}")
+    assert not list(tmp_path.iterdir())
+    write_horizons(around, tmp_path / "moon.csv")
 
 
 def test_a_pose_on_a_moon_is_seen_with_the_moons_curvature(moon):
