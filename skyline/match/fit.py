@@ -198,8 +198,8 @@ class CurveFit:
     def _photo_error(self, state: Float32Array) -> FloatArray:
         """Return the expected error (M,) of a photo's tangents.
 
-        It is as large as a pixel, since a camera measures pixels. If the error did not grow with
-        the field of view, a small enough field of view would make every miss small.
+        The error is a number of pixels, since a camera measures in pixels, so it grows with the
+        field of view. If it did not, a small enough field of view would make every miss small.
         """
         projection = self._rays.projection
         usual = float(projection.half_width(REFERENCE_FOV_DEG))
