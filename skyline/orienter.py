@@ -297,9 +297,8 @@ class Orienter(Closeable):
         """
         found = list[Poses]()
         for number, standing in enumerate(self._standings(skyline.noted)):
-            retriever = self._retriever
-            if number > 0:
-                retriever = self._retriever_at(standing.elevation_m)
+            # The first standing is the one for which the retriever was made.
+            retriever = self._retriever if number == 0 else self._retriever_at(standing.elevation_m)
             prior = self._prior(skyline.noted, standing, narrowing)
             fitted = retriever.fitted_all_round(rays)
             fitted = fitted[prior.allows(fitted)]
