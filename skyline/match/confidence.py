@@ -274,8 +274,8 @@ def beside_rivals(sure: float, rivals: Iterable[float]) -> float:
     """Return a pose's confidence, if at most one of several is right.
 
     Its own confidence ``sure`` and the confidences of its rivals were found without knowing of one
-    another. Each is taken for odds against no pose being right: the result is the pose's odds
-    divided by the sum of 1 and all odds.
+    another. Each gives the odds of its pose against no pose being right; the result is the pose's
+    odds divided by the sum of 1 and all odds.
     """
     odds = [one / max(1.0 - one, 1e-9) for one in (sure, *rivals)]
     return odds[0] / (1.0 + sum(odds))

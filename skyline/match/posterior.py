@@ -72,8 +72,8 @@ class Spread:
     temperature: float = 0.2
     """T, by which the costs of fitted poses are divided."""
     around_m: float = 60.0
-    """t, the deviation around fitted poses; around a place, half the side of its square adds to
-    it."""
+    """t, the deviation around fitted poses; around a place, half the side of its square is added in
+    quadrature."""
     score_weight: float = 8.0
     """b, the gain of log probability with the score of a place."""
     reach_sds: float = 10.0

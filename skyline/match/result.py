@@ -214,11 +214,11 @@ class MatchResult:
         if abs(exif["heading_off_deg"] or 0.0) > _DISAGREEMENT.compass_deg:
             wrong.append("compass")
         if wrong:
-            both = " and ".join(wrong)
+            notes = " and ".join(wrong)
             then = "one of them is wrong"
             if self.answer is None and "position" in wrong:
                 then = "if the photo is right, search round its position"
-            sentences.append(f"The photo's {both} and {it} disagree: {then}.")
+            sentences.append(f"The photo's {notes} and {it} disagree: {then}.")
         return " ".join(filter(None, [*sentences, exif["left_aside"]]))
 
     def to_dict(self) -> dict[str, Any]:
