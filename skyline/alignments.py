@@ -112,16 +112,16 @@ def standpoints(
         times = [at for at, met in zip(times, is_met, strict=True) if met]
         seen_deg, back_rad, away_m = seen_deg[is_met], back_rad[is_met], away_m[is_met]
         toward = np.column_stack([np.sin(back_rad), np.cos(back_rad)])
-        ground_m = summit_m[:2] + away_m[:, np.newaxis] * toward
-        eye_m = terrain.height_at(easting_m=ground_m[:, 0], northing_m=ground_m[:, 1])
-        places_m = np.column_stack([ground_m, eye_m + eye_height_m])
+        tip_m = summit_m[:2] + away_m[:, np.newaxis] * toward
+        ground_m = terrain.height_at(easting_m=tip_m[:, 0], northing_m=tip_m[:, 1])
+        places_m = np.column_stack([tip_m, ground_m + eye_height_m])
     is_near = np.hypot(*(places_m[:, :2] - middle_m).T) <= area.radius_m
     lon, lat = terrain.frame.to_lonlat(places_m[:, 0], places_m[:, 1])
-    rows = zip(times, lon, lat, away_m, seen_deg[:, 0], seen_deg[:, 1], strict=True)
-    names = ("time", "lon", "lat", "distance_m", "azimuth_deg", "elevation_deg")
+    names = ("lon", "lat", "distance_m", "azimuth_deg", "elevation_deg")
+    rows = np.column_stack([lon, lat, away_m, seen_deg[:, :2]]).tolist()
     return [
-        Standpoint(time=row[0], **dict(zip(names[1:], map(float, row[1:]), strict=True)))
-        for row, near in zip(rows, is_near, strict=True)
+        Standpoint(time=at, **dict(zip(names, row, strict=True)))
+        for at, row, near in zip(times, rows, is_near, strict=True)
         if near
     ]
 
@@ -142,13 +142,13 @@ def _seen_from(
     return np.column_stack([deg, deg[:, 0] - convergence_deg])
 
 
-def _reaches(back_rad: Float64Array, to_middle_m: Float64Array, within_m: float) -> BoolArray:
+def _reaches(back_rad: Float64Array, to_middle_m: Float64Array, radius_m: float) -> BoolArray:
     """Return whether rays (N,) from a summit pass through an area's circle."""
     away_m = float(np.hypot(*to_middle_m))
-    if away_m <= within_m:
+    if away_m <= radius_m:
         return np.ones(len(back_rad), dtype=bool)
     toward_deg = np.degrees(np.arctan2(*to_middle_m))
-    half_deg = np.degrees(np.arcsin(within_m / away_m))
+    half_deg = np.degrees(np.arcsin(radius_m / away_m))
     # A degree more, since the first round looks from the summit.
     return np.asarray(np.abs(in_turn(np.degrees(back_rad) - toward_deg)) <= half_deg + 1.0)
 

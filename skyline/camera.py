@@ -1,7 +1,7 @@
 """The geometry of a camera, from its pixels to azimuths and elevations.
 
-No other module of Skyline projects, levels or distorts, or takes derivatives of these. Four kinds
-of coordinates follow one another:
+No other module of Skyline projects, levels or distorts, or takes derivatives of these steps. Four
+kinds of coordinates follow one another:
 
 * *pixels*: columns and rows; pixel centres are at whole numbers;
 * *across, above*: right of and above a picture's middle, in halves of its width;
@@ -100,7 +100,7 @@ class Projection(StrEnum):
 
     @property
     def _fov_hint(self) -> str:
-        """Describe the fields of view of such photos in words."""
+        """What to know of fields of view in this projection."""
         if self.is_panorama:
             return "a full turn is the most"
         if self is Projection.FISHEYE:
@@ -113,13 +113,13 @@ class Projection(StrEnum):
     def rays(
         self, across: Float64Array, above: Float64Array, fov_deg: float
     ) -> tuple[Float64Array, Float64Array]:
-        """Return u and v of places in a photo.
+        """Return u and v of points of a photo.
 
-        They lie on an image of unit focal length. Through a lens, u and v are right and up divided
-        by forward: the ray is (u, v, 1). A panorama's image is a cylinder: u is the azimuth from
-        its middle in radians, v the tangent of the elevation, and the ray is (sin u, v, cos u). A
-        fisheye's u and v lie at the distance a from the middle, where a is the angle off the axis
-        in radians: the ray is (u sin a / a, v sin a / a, cos a).
+        They are positions on an image of unit focal length. Through a lens, u and v are right and
+        up divided by forward: the ray is (u, v, 1). A panorama's image is a cylinder: u is the
+        azimuth from its middle in radians, v the tangent of the elevation, and the ray is
+        (sin u, v, cos u). A fisheye's u and v lie at the distance a from the middle, where a is the
+        angle off the axis in radians: the ray is (u sin a / a, v sin a / a, cos a).
 
         Parameters
         ----------
@@ -137,7 +137,7 @@ class Projection(StrEnum):
     def places(
         self, u: Float64Array, v: Float64Array, fov_deg: float
     ) -> tuple[Float64Array, Float64Array]:
-        """Return the places across and above of rays; the inverse of `rays`."""
+        """Return across and above of an image's points; the inverse of `rays`."""
         half = np.radians(fov_deg) / 2.0
         if self is Projection.PERSPECTIVE:
             return u / np.tan(half), v / np.tan(half)
@@ -165,7 +165,7 @@ class Projection(StrEnum):
 def from_middle(
     column_px: ArrayLike, row_px: ArrayLike, width_px: int, height_px: int
 ) -> tuple[Float64Array, Float64Array]:
-    """Return places across and above in a picture for its pixels."""
+    """Return across and above of a picture's pixels."""
     across = (2.0 * np.asarray(column_px, dtype=np.float64) + 1.0) / width_px - 1.0
     above = (height_px - 1.0 - 2.0 * np.asarray(row_px, dtype=np.float64)) / width_px
     return across, above
@@ -240,11 +240,11 @@ def distorted(
 ) -> tuple[Float64Array, Float64Array]:
     """Return where a distorting lens shows points: the inverse of `undistorted`.
 
-    NaN for places that the lens does not show.
+    NaN for points that the lens does not show.
     """
     if distortion == 0.0:
         return across, above
-    # A fisheye's r (1 + k (r^2 - 1)) is a lens's formula, of other factors:
+    # A fisheye's r (1 + k (r^2 - 1)) is the formula of a lens with another scale and distortion:
     # (1 - k) r (1 + k / (1 - k) r^2).
     middle = 1.0 - distortion * _fixed_at(projection)
     across, above, distortion = across / middle, above / middle, distortion / middle
@@ -269,10 +269,10 @@ def level(
 ) -> tuple[Float64Array, Float64Array]:
     """Return azimuths and elevation tangents of a camera's rays.
 
-    The camera is pitched and rolled. Azimuths are radians clockwise from the vertical plane of the
-    optical axis, in (-pi, pi]. The elevation tangent is up over horizontal distance. The pitch is
-    the axis's angle above the horizon; the roll turns the camera clockwise as seen from behind it.
-    u and v are as in `Rays`.
+    Azimuths are radians clockwise from the vertical plane of the optical axis, in (-pi, pi]. The
+    elevation tangent is up over horizontal distance. The pitch is the axis's angle above the
+    horizon; the roll turns the camera clockwise as seen from behind it. u and v are as in
+    `Projection.rays`.
     """
     attitude = np.radians(pitch_deg), np.radians(roll_deg)
     right, up, forward = level_axes(u, v, *attitude, projection)
@@ -290,23 +290,25 @@ def level_axes(
     """
     if not projection.is_panorama:
         return _held(*_ray(u, v, projection), pitch, roll)
-    above, side = _raised(v, np.tan(pitch), projection)
-    return _held(side * np.sin(u), side * above, side * np.cos(u), 0.0, roll)
+    raised, side = _raised(v, np.tan(pitch), projection)
+    return _held(side * np.sin(u), side * raised, side * np.cos(u), 0.0, roll)
 
 
-def _held(across: Any, above: Any, ahead: Any, pitch: Any, roll: Any) -> tuple[Any, Any, Any]:
-    """Return a pitched and rolled camera's ray as right, up and forward."""
-    right = across * np.cos(roll) + above * np.sin(roll)
-    up = above * np.cos(roll) - across * np.sin(roll)
+def _held(right: Any, up: Any, forward: Any, pitch: Any, roll: Any) -> tuple[Any, Any, Any]:
+    """Return the ray of a pitched and rolled camera in a level frame.
+
+    Both the ray given, in the camera's own frame, and the result are right, up and forward.
+    """
+    unrolled = up * np.cos(roll) - right * np.sin(roll)
     return (
-        right,
-        up * np.cos(pitch) + ahead * np.sin(pitch),
-        ahead * np.cos(pitch) - up * np.sin(pitch),
+        right * np.cos(roll) + up * np.sin(roll),
+        unrolled * np.cos(pitch) + forward * np.sin(pitch),
+        forward * np.cos(pitch) - unrolled * np.sin(pitch),
     )
 
 
 def _ray(u: Any, v: Any, projection: Projection) -> tuple[Any, Any, Any]:
-    """Return the ray of a lens or fisheye: right, up and forward."""
+    """Return a lens's or fisheye's ray in its frame: right, up and forward."""
     if projection is Projection.PERSPECTIVE:
         return u, v, 1.0
     off_axis = np.hypot(u, v)
@@ -347,23 +349,23 @@ def project(
     pitch moves past the zenith.
     """
     pitch, roll = np.radians(pitch_deg), np.radians(roll_deg)
-    right, ahead = np.sin(azimuth_rad), np.cos(azimuth_rad)
+    level_right, level_forward = np.sin(azimuth_rad), np.cos(azimuth_rad)
     if projection.is_panorama:
-        across = right * np.cos(roll) - y * np.sin(roll)
-        above = (right * np.sin(roll) + y * np.cos(roll)) / np.hypot(across, ahead)
-        v, side = _raised(above, -np.tan(pitch), projection)
-        return np.arctan2(across, ahead), np.where(side > 0.0, v, np.nan)
-    forward = ahead * np.cos(pitch) + y * np.sin(pitch)
-    up = y * np.cos(pitch) - ahead * np.sin(pitch)
-    across = right * np.cos(roll) - up * np.sin(roll)
-    above = right * np.sin(roll) + up * np.cos(roll)
+        right = level_right * np.cos(roll) - y * np.sin(roll)
+        up = level_right * np.sin(roll) + y * np.cos(roll)
+        v, side = _raised(up / np.hypot(right, level_forward), -np.tan(pitch), projection)
+        return np.arctan2(right, level_forward), np.where(side > 0.0, v, np.nan)
+    forward = level_forward * np.cos(pitch) + y * np.sin(pitch)
+    unpitched = y * np.cos(pitch) - level_forward * np.sin(pitch)
+    right = level_right * np.cos(roll) - unpitched * np.sin(roll)
+    up = level_right * np.sin(roll) + unpitched * np.cos(roll)
     if projection is Projection.FISHEYE:
-        aside = np.hypot(across, above)
+        aside = np.hypot(right, up)
         off_axis = np.arctan2(aside, forward)
         stretch = np.where(off_axis < _BACKMOST_RAD, off_axis, np.nan) / np.fmax(aside, _NO_ANGLE)
-        return across * stretch, above * stretch
+        return right * stretch, up * stretch
     forward = np.where(forward > 0.0, forward, np.nan)
-    return across / forward, above / forward
+    return right / forward, up / forward
 
 
 def _axes_with_changes(
@@ -375,17 +377,16 @@ def _axes_with_changes(
 ) -> tuple[tuple[Any, Any, Any], list[Float64Array]]:
     """Return `level_axes` of a lens or a fisheye, with derivatives.
 
-    These are (M, R, 3): by pitch, roll and log scale.
+    The derivatives of each axis are (M, R, 3): by pitch, roll and log scale.
     """
     right, up, forward = axes = level_axes(u, v, pitch, roll, projection)
-    cos_pitch, sin_pitch = np.cos(pitch), np.sin(pitch)
-    across, along, _ = _ray(u, v, projection)
-    above = along * np.cos(roll) - across * np.sin(roll)
+    own_right, own_up, _ = _ray(u, v, projection)
+    unrolled = own_up * np.cos(roll) - own_right * np.sin(roll)
     scaled = _held(*_ray_by_log_scale(u, v, projection), pitch, roll)
     changes = [
-        [np.zeros_like(up), above, scaled[0]],
-        [forward, -right * cos_pitch, scaled[1]],
-        [-up, right * sin_pitch, scaled[2]],
+        [np.zeros_like(up), unrolled, scaled[0]],
+        [forward, -right * np.cos(pitch), scaled[1]],
+        [-up, right * np.sin(pitch), scaled[2]],
     ]
     return axes, [np.stack(change, axis=-1) for change in changes]
 
@@ -401,12 +402,12 @@ def _panorama_with_changes(
 ) -> tuple[tuple[Any, Any, Any], list[Float64Array]]:
     """Return `level_axes` of a panorama, with derivatives.
 
-    These are by pitch, roll, log scale and warps. ``v_change`` (M, R) and ``wander`` (M, R, K) are
-    the derivatives of v by log scale and warps.
+    The derivatives of each axis are (M, R, 3 + K): by pitch, roll, log scale and warps.
+    ``v_change`` (M, R) and ``wander`` (M, R, K) are the derivatives of v by log scale and warps.
     """
-    above, _ = _raised(v, np.tan(pitch), projection)
+    raised, _ = _raised(v, np.tan(pitch), projection)
     if projection is Projection.EQUIRECTANGULAR:
-        by_pitch = 1.0 + np.square(above)
+        by_pitch = 1.0 + np.square(raised)
         by_v = by_pitch / (1.0 + np.square(v))
     else:
         by_pitch = np.ones_like(v) / np.square(np.cos(pitch))
@@ -414,7 +415,7 @@ def _panorama_with_changes(
     # Pitch, scale and warps move a ray up the image; scale moves it across, too.
     lifts = [by_pitch, np.zeros_like(v), by_v * v_change]
     lifted = np.concatenate([np.stack(lifts, axis=-1), by_v[..., np.newaxis] * wander], axis=-1)
-    right, up, forward = axes = level_axes(u, above, 0.0, roll, projection)
+    right, up, forward = axes = level_axes(u, raised, 0.0, roll, projection)
     right_change, up_change = (
         lifted * turned[..., np.newaxis] for turned in (np.sin(roll), np.cos(roll))
     )

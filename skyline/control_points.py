@@ -1,7 +1,7 @@
 """A pose from control points: pixels of a photo with known places.
 
-It needs no skyline. The pose is fitted by damped Gauss-Newton to the pixels of the points, from
-what is known of the place and the lens, or from a pose that is refined. It has the unknowns of
+No skyline is needed. The pose is fitted by damped Gauss-Newton to the pixels of the points, from
+what is known of the place and the lens, or from a pose that is refined. The unknowns are those of
 `skyline.pose.Pose.covariance`. A point is wrong if leaving it out lowers the cost by more than the
 cost of a point that lies anywhere in the photo.
 """
@@ -83,7 +83,7 @@ class PointsFit:
     is_used: BoolArray
     """(N,) bool. False for points that are taken for wrong."""
     misfit: float
-    """Root mean square of the residuals of used points, in their standard deviations."""
+    """Root mean square of the misses of used points, in their standard deviations."""
     refusal: str | None = None
     """Why the pose cannot be trusted; None if it can."""
     name: str = ""
@@ -176,13 +176,11 @@ class KnownCamera:
         sds[PITCH], sds[ROLL] = priors.pitch_sd_rad, priors.roll_sd_rad
         # A field of view that is known exactly has no range.
         sds[LOG_SCALE] = rays.lens.rms if rays.fov_range_deg else 1e-6
-        height_m: float | None = pose.eye_elevation_m - float(
-            viewer.terrain.height_at(easting_m=pose.easting_m, northing_m=pose.northing_m)
-        )
         if elevation_m is not None:
-            pose = replace(pose, eye_elevation_m=elevation_m)
-            sds[UP], height_m = PointErrors().place_sd_m, None
-        return cls(pose, np.diag(sds**-2.0), height_m)
+            sds[UP] = PointErrors().place_sd_m
+            return cls(replace(pose, eye_elevation_m=elevation_m), np.diag(sds**-2.0))
+        ground_m = viewer.terrain.height_at(easting_m=pose.easting_m, northing_m=pose.northing_m)
+        return cls(pose, np.diag(sds**-2.0), pose.eye_elevation_m - float(ground_m))
 
     @classmethod
     def of_pose(cls, pose: Pose) -> "KnownCamera":
@@ -217,18 +215,18 @@ def fit_points(
         )
     fit = _Fit(viewer, photo, points, known, errors or PointErrors())
     used = np.ones(len(points), dtype=bool)
-    best = fit.best(used)
+    cost, state = fit.best(used)
     while used.sum() > LEAST_POINTS + _STEPS.spare:
         tries = []
         for index in np.flatnonzero(used):
             without = used.copy()
             without[index] = False
             tries.append((*fit.best(without), without))
-        cost, state, without = min(tries, key=lambda one: one[0])
-        if cost + fit.wrong_cost >= best[0]:
+        least_cost, its_state, without = min(tries, key=lambda one: one[0])
+        if least_cost + fit.wrong_cost >= cost:
             break
-        best, used = (cost, state), without
-    return fit.result(best[1], used, name)
+        cost, state, used = least_cost, its_state, without
+    return fit.result(state, used, name)
 
 
 @dataclass(eq=False)
@@ -313,10 +311,10 @@ class _Fit:
         return np.arctan2(east_m, north_m), tan, away_m
 
     def linear(self, state: Float64Array) -> tuple[Float64Array, Float64Array, Float64Array]:
-        """Return residuals in pixels, their derivatives and their covariances.
+        """Return misses in pixels, their derivatives and their covariances.
 
-        They are (N, 2), (N, 2, P) and (N, 2, 2). A residual is a marked pixel less the pixel that
-        shows the point, to first order.
+        They are (N, 2), (N, 2, P) and (N, 2, 2). A miss is the marked pixel less the pixel that
+        shows the point, to first order: the opposite of `PointsFit.residual_px`.
         """
         camera = self.camera(state)
         column, row = self.points.column_px, self.points.row_px
@@ -351,15 +349,13 @@ class _Fit:
         self, state: Float64Array, used: BoolArray
     ) -> tuple[float, Float64Array, Float64Array]:
         """Return the cost of a state, its gradient and the normal matrix."""
-        residual, changes, spread = (one[used] for one in self.linear(state))
+        miss_px, changes, spread = (one[used] for one in self.linear(state))
         weight = np.linalg.inv(spread)
         off = self._off(state)
         normal = np.einsum("nip,nij,njq->pq", changes, weight, changes) + self.known.precision
-        gradient = np.einsum("nip,nij,nj->p", changes, weight, residual)
+        gradient = np.einsum("nip,nij,nj->p", changes, weight, miss_px)
         gradient += self.known.precision @ off
-        cost = (
-            np.einsum("ni,nij,nj->", residual, weight, residual) + off @ self.known.precision @ off
-        )
+        cost = np.einsum("ni,nij,nj->", miss_px, weight, miss_px) + off @ self.known.precision @ off
         if self.known.eye_height_m is not None:
             over_m, by_move = self._over_ground(state)
             precision = self.height_sd_m**-2.0 if self.height_sd_m else 1e6
@@ -369,6 +365,7 @@ class _Fit:
         return float(cost), gradient, normal
 
     def _off(self, state: Float64Array) -> Float64Array:
+        """Return how far a state is off the known camera."""
         off: Float64Array = state - self.first
         off[HEADING] = math.remainder(off[HEADING], 2.0 * math.pi)
         return off
@@ -448,9 +445,9 @@ class _Fit:
 
     def result(self, state: Float64Array, used: BoolArray, name: str) -> PointsFit:
         """Return a state as a fit."""
-        residual, _, spread = self.linear(state)
+        miss_px, _, spread = self.linear(state)
         _, _, normal = self.normal(state, used)
-        chi2 = np.einsum("ni,nij,nj->n", residual, np.linalg.inv(spread), residual)[used]
+        chi2 = np.einsum("ni,nij,nj->n", miss_px, np.linalg.inv(spread), miss_px)[used]
         misfit = math.sqrt(float(chi2.mean()) / 2.0)
         covariance = np.linalg.inv(normal)
         camera = self.camera(state)
@@ -481,8 +478,8 @@ class _Fit:
         marked_px = np.stack([self.points.column_px, self.points.row_px], axis=1)
         shown_px = np.stack(camera.pixels(np.degrees(azimuth), tan), axis=1)
         # Ground behind the camera is in no pixel.
-        off_px = np.where(np.isfinite(shown_px), shown_px - marked_px, -residual)
-        found = PointsFit(self.photo, pose, self.points, off_px, used, misfit, name=name)
+        residual_px = np.where(np.isfinite(shown_px), shown_px - marked_px, -miss_px)
+        found = PointsFit(self.photo, pose, self.points, residual_px, used, misfit, name=name)
         return replace(found, refusal=_refusal_of(found))
 
 

@@ -23,8 +23,8 @@ from skyline.pose import Pose
 from skyline.pose_errors import HEADING, PIXEL_SD_PX, Bearings
 
 LEAST_PROBABILITY = 0.01
-"""Rays miss each other if rays that meet would seldom, with less than this probability, seem so far
-apart."""
+"""Rays are taken to miss each other if rays that meet would seem so far apart with less than this
+probability."""
 _LEAST_ANGLE_SDS = 3.0
 """Rays whose azimuths differ by less than this many standard errors do not cross."""
 _ROUNDS = 20
@@ -40,7 +40,7 @@ class Ray:
     pose : Pose
         The camera, with its errors.
     photo : PhotoSkyline
-        Its size and projection count.
+        Only its size and its projection count.
     pixel : (float, float)
         Column and row.
     """
@@ -167,7 +167,7 @@ class _Seen:
         """Return the covariance (2, 2) of a place's offset from the ray.
 
         ``by_place`` (2, 3) are the derivatives of the place's direction by the place: an eye that
-        moves the other way has them, too.
+        moves the other way changes the direction alike.
         """
         by_pose = self.by_pose.copy()
         by_pose[:, :HEADING] += by_place

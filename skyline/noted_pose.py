@@ -24,8 +24,8 @@ _MISNAMED = {
     ),
     **dict.fromkeys(("height", "height_m", "eye_height"), "eye_height_m"),
 }
-"""Names that people write, and the names that are read. Without them a camera would be level and
-stand on the ground."""
+"""Names that people write, and the names that are read. A value only under the former is an error:
+if it were ignored, the camera would be level, or held by a person who stands on the ground."""
 _UNKNOWNS = (WARP, WARP + 1, WARP + len(WANDER_DEGREES))
 """Numbers of rows that `skyline.pose.Pose.covariance` may have: without a distortion, with it, and
 with a panorama's wander."""
@@ -131,7 +131,7 @@ class NotedPose:
 
 
 def _check_names(record: Mapping[str, Any], given: Mapping[str, float], source: str) -> None:
-    """Raise `InputError` if a value that is not given has a name that is not read."""
+    """Raise `InputError` for a value only under a name that is not read."""
     known = set(given)
     if known & set(_HEIGHTS):
         known |= set(_HEIGHTS)

@@ -1,4 +1,4 @@
-"""The answer to how a camera was held, as sentences, JSON and rows."""
+"""How a camera was held, as sentences, JSON and rows."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ LEAST_CONFIDENCE = 0.85
 none of 169 photos from other regions reaches it, and 2 % of the headings that reach it are wrong.
 At 0.8, 4 % are wrong."""
 LEAST_LIKELY = 0.5
-"""Least confidence of a heading that is not trusted, and that is more likely right than wrong."""
+"""Least confidence of a heading that is more likely right than wrong, trusted or not."""
 _COMPASS_SDS = 0.5
 """A compass that is off by more than this many of its standard deviations is mentioned: 10
 degrees from true north, 15 from magnetic north."""

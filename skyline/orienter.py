@@ -96,7 +96,7 @@ class HeadingSearch:
     places: int = 32
     """Further fits that are refined: the best ones of all."""
     separation_m: float = 15.0
-    """Fits that are nearer than this to a better one and look its way are the same."""
+    """A fit that is nearer than this to a better one and looks the same way is left out."""
     turn_deg: float = 4.0
     """Fits look the same way within this angle."""
     apart_deg: float = 10.0
@@ -212,7 +212,7 @@ class Orienter(Closeable):
     def _retriever_at(self, elevation_m: float | None) -> Retriever:
         """Return a retriever of poses for eyes at an elevation.
 
-        By default the eyes stand on the ground.
+        For None, and where the ground is higher, the eyes stand on the ground.
         """
         eyes = self._around(self._position_sd_m)
         if elevation_m is not None:
@@ -231,7 +231,7 @@ class Orienter(Closeable):
         return Standing.of_noted(noted, ground)
 
     def _relief_m(self, away_m: float) -> float:
-        """Return the ground's rms height above the place, on a ring."""
+        """Return the ground's rms height above the place, there and on a ring."""
         ground_m = self._around(away_m).eye_elevation_m - DEFAULT_EYE_HEIGHT_M
         return math.sqrt(np.mean((ground_m - self._ground_m) ** 2))
 
@@ -282,7 +282,7 @@ class Orienter(Closeable):
         return replace(found, seconds=time.perf_counter() - started, name=name or file)
 
     def _oriented(self, skyline: PhotoSkyline, narrowing: Narrowing) -> Orientation:
-        """Return how a camera was held that saw a skyline."""
+        """Return how the camera that saw a skyline was held."""
         refusal = too_little(skyline)
         if refusal is not None:
             return Orientation(skyline, None, refusal=refusal)
@@ -297,9 +297,8 @@ class Orienter(Closeable):
         """
         found = list[Poses]()
         for number, standing in enumerate(self._standings(skyline.noted)):
-            retriever = self._retriever
-            if number > 0:
-                retriever = self._retriever_at(standing.elevation_m)
+            # The first standing is the one for which the retriever was made.
+            retriever = self._retriever if number == 0 else self._retriever_at(standing.elevation_m)
             prior = self._prior(skyline.noted, standing, narrowing)
             fitted = retriever.fitted_all_round(rays)
             fitted = fitted[prior.allows(fitted)]
@@ -383,7 +382,10 @@ class Orienter(Closeable):
         )
 
     def _other_eye(self, poses: Poses) -> str | None:
-        """Return the refusal of a pose that another standing rivals, or None."""
+        """Return the refusal where an eye at another height fits as well.
+
+        None if no other eye does.
+        """
         heights_m = self._eye_heights_m(poses)
         is_same = (
             np.abs(in_turn(poses.grid_heading_deg - poses.grid_heading_deg[0])) < _SEARCH.apart_deg
@@ -432,16 +434,16 @@ class Orienter(Closeable):
         return f"{doubt}; {pose.residual_in_words}"
 
 
-def _surest(skylines: Sequence[Orientation]) -> Orientation:
-    """Return the surest orientation of those by several skylines of a photo.
+def _surest(orientations: Sequence[Orientation]) -> Orientation:
+    """Return the surest of the orientations by a photo's several skylines.
 
     At most one of the skylines is the terrain's, so other headings are rivals.
     """
-    surest = max(skylines, key=lambda found: found.confidence)
+    surest = max(orientations, key=lambda found: found.confidence)
     best = surest.pose
     rivals = [
         (found.confidence, found.pose.heading_deg)
-        for found in skylines
+        for found in orientations
         if best and found.pose and found.pose.turn_deg(best) > _SEARCH.apart_deg
     ]
     if not rivals:
@@ -496,14 +498,14 @@ class _RefinementByHeading(Refinement):
     def survivors(self, particles: Particles, count: int) -> Particles:
         """Return the next round's particles: the best, and each heading's best."""
         ordered = particles.best(len(particles))
-        standing = self.poses(ordered)
-        rivals = standing.suppress_non_maxima(_SEARCH.rivals, np.inf, _SEARCH.apart_deg)
+        poses = self.poses(ordered)
+        rivals = poses.suppress_non_maxima(_SEARCH.rivals, np.inf, _SEARCH.apart_deg)
         return ordered[np.union1d(np.arange(min(count, len(ordered))), rivals)]
 
     def distinct(self, particles: Particles, count: int) -> Particles:
         """Return the best particle of each heading, best first."""
-        standing = self.poses(particles)
-        return particles[standing.suppress_non_maxima(count, np.inf, _SEARCH.apart_deg)]
+        poses = self.poses(particles)
+        return particles[poses.suppress_non_maxima(count, np.inf, _SEARCH.apart_deg)]
 
 
 def orient(  # noqa: PLR0913  (independent knowledge)

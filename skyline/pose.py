@@ -100,7 +100,8 @@ class Pose:
         Harmonic mean distance of the rendered skyline, in the photo's columns.
     rank : int or None
         Rank among the candidates of its search, 1 for the best; None for a pose that no search
-        found. A pose that was fitted better than a candidate, in its place, has its rank.
+        found. A fitted pose that replaces a candidate, since it fits better, has the candidate's
+        rank.
     area : int
         Index in `Matcher.areas` of the elevation model in whose frame the pose is.
     """
@@ -216,14 +217,14 @@ class Pose:
         return abs(float(in_turn(self.heading_deg - other.heading_deg)))
 
     def is_same_answer(self, other: "Pose", within_m: float = RIGHT_WITHIN_M) -> bool:
-        """Return whether another pose is the same answer, as far as a distance tells.
+        """Return whether another pose is the same answer, within a distance.
 
-        It is if it lies near and looks the same way. Confidences belong to answers.
+        It is if it lies within the distance and looks the same way. Confidences belong to answers.
         """
         return self.distance_m(other) <= within_m and self.turn_deg(other) <= SAME_VIEW_DEG
 
     def less_sure(self, share: float) -> "Pose":
-        """Return the pose with a share of its confidences, if it has any."""
+        """Return the pose with its confidences times a share."""
         near, roughly = (
             None if sure is None else share * sure
             for sure in (self.confidence, self.confidence_1km)
@@ -354,7 +355,7 @@ class FitFigures(Rows):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseAreas(Rows):
-    """The areas of several frames in which M poses were found."""
+    """The areas, of several frames, in which M poses were found."""
 
     area: IntArray
     """(M,) intp. As in `Pose`."""
@@ -441,7 +442,7 @@ class Poses(Rows):
         return replace(self, in_areas=PoseAreas(area, geocentric_m))
 
     def on_map(self, *frames: Frame) -> tuple[Pose, ...]:
-        """Return each pose, best first, on the map.
+        """Return the poses on the map, ranked in the order that they have.
 
         ``frames`` are the frames of the areas, in order.
         """

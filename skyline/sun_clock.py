@@ -1,4 +1,4 @@
-"""A photo's time by its sun or a shadow, or its heading.
+"""A photo's time, or its camera's heading, by the sun or a shadow.
 
 A pixel of the sun's or the moon's disc gives a direction. A shadow's tip and foot give an azimuth:
 whatever stands upright casts its shadow away from the sun, however tall it is and whatever the
@@ -211,7 +211,7 @@ def shadow_pointing(
 def _toward_sun(
     view: GroundView, ground: GroundPoints, top: Pixel
 ) -> tuple[Float64Array, Float64Array]:
-    """Return the way (3,) from a shadow's tip to its top, metres.
+    """Return the way (3,) from a shadow's tip to the top that casts it.
 
     ``ground`` has tip and foot; the top stands over the foot. The second result (3, P + 8) has the
     derivatives by the pose, by the pixels of tip, foot and top, and by the errors of the ground's

@@ -1,4 +1,4 @@
-"""The areas that a matcher searches: stores of one DEM each, with its terrain."""
+"""The areas that a matcher searches: stores and terrain of one DEM each."""
 
 import logging
 from collections.abc import Iterable, Sequence

@@ -78,9 +78,9 @@ class _FigureLimits:
     """Least and greatest standard deviation of a lens's scale: of a field of view that is known
     within 5 %, and of one that is not known."""
     extent_m: float = 8_500.0
-    """Greatest distance in the smallest areas that were learned from, squares of 6 km. A narrower
-    search meets fewer rivals, as the square of its extent; its odds are divided by the same
-    factor."""
+    """Greatest distance in the smallest areas that were learned from, squares of 6 km. The number
+    of rivals grows with the area that is searched, so the odds of a search that is n times narrower
+    are divided by n squared."""
 
 
 _LIMITS = _FigureLimits()
@@ -127,11 +127,11 @@ class Logistic:
 def refined_figures(poses: Poses, found: Poses, rays: Rays) -> dict[str, Float64Array]:
     """Return the figures (M,) of refined poses by name.
 
-    The figures of the best retrieved pose are among them. The skyline of another region can be bent
-    to fit some place well, but seldom resembles that place in retrieval; so the retrieval counts
-    too. Rivals are more than 1 km away. In a narrow search no retrieved pose lies so far away, and
-    rivals are more than 200 m away. If all retrieved poses are one place, there is no rival, and
-    the odds are even.
+    The figures of the best of the retrieved poses, ``found``, are among them. The skyline of
+    another region can be bent to fit some place well, but seldom resembles that place in retrieval;
+    so the retrieval counts too. Rivals are more than 1 km away, or more than 200 m in a search so
+    narrow that no two retrieved poses are 1 km apart. If all retrieved poses are one place, there
+    is no rival, and the odds are even.
     """
     retrieved = retrieved_figures(found, rays)
     best = int(np.argmin(found.cost))
@@ -271,10 +271,11 @@ def shared_probabilities(
 
 
 def beside_rivals(sure: float, rivals: Iterable[float]) -> float:
-    """Return how sure one of several poses is, of which at most one is right.
+    """Return a pose's confidence, if at most one of several is right.
 
-    Each confidence was found without knowing of the others. The odds of a pose are its confidence
-    over the rest; a pose is right by its odds over 1 and the odds of all.
+    Its own confidence ``sure`` and the confidences of its rivals were found without knowing of one
+    another. Each gives the odds of its pose against no pose being right; the result is the pose's
+    odds divided by the sum of 1 and all odds.
     """
     odds = [one / max(1.0 - one, 1e-9) for one in (sure, *rivals)]
     return odds[0] / (1.0 + sum(odds))

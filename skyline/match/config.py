@@ -17,10 +17,10 @@ class MatchConfig:
         Whether the full matcher refines the retrieved poses by rendering.
     min_confidence : float
         The best place is the answer if it is right within 1 km with at least this probability,
-        from 0 to 1. The answer is given within 200 m if the probability of a greater error is at
-        most half of what is allowed for 1 km: with the default, if it is right with a probability
-        of 0.9. Of the 255 queries of terrain held out from learning that reached 0.8 within 1 km,
-        245 were right; docs/accuracy.md says how hard those are.
+        from 0 to 1. The answer is given within 200 m, rather than 1 km, if that leaves at most half
+        of the allowed doubt: with the default, if it is right within 200 m with a probability of
+        0.9. Of the 255 queries of terrain held out from learning that reached 0.8 within 1 km, 245
+        were right; docs/accuracy.md says how hard those queries are.
     fov_sd_share : float
         Standard deviation of a given field of view, as a share of it, 0 to 1.
 

@@ -2,8 +2,8 @@ r"""Contours: ridges below a photo's skyline, as evidence for an answer.
 
 Where a ridge hides ground behind it, a photo has an edge. The terrain model shows such ridges from
 a pose, too, below the skyline by which the pose was found. At the right place they lie on edges of
-the photo; at a wrong one they do so by chance. The photo itself shows what chance does, when the
-ridges are shifted up and down.
+the photo; at a wrong one they do so by chance. To see what chance does in this photo, the ridges
+are shifted up and down.
 
 A ridge is cut into pieces. The strength of a piece at a shift is the mean gradient across it,
 relative to the gradients around it; noise and texture, which change sign, cancel. A piece may lie
@@ -64,6 +64,7 @@ class _Rules:
     linked_ratio: float = 1.25
     """Greatest ratio of a ridge's distances from profile to profile."""
     least_points: int = 4
+    """Least number of points of a ridge."""
     smooth: float = 1.5
     """Standard deviation, in profiles, over which a ridge is smoothed along itself."""
     piece_deg: tuple[float, float] = (1.2, 3.0)
@@ -76,17 +77,18 @@ class _Rules:
     play: float = 1.5
     """Greatest distance of an edge from its piece, in expected errors."""
     most_play_px: int = 6
-    """Pieces that need more, which are near ones, are left out: some edge is always this near."""
+    """Ridges close to the eye need more, and are left out: some edge always lies within it."""
     most_shift_px: int = 32
-    """Greatest shift, for chance."""
+    """Greatest shift up or down, which shows what chance does."""
     least_shifts: int = 10
     """Least number of shifts that show what chance does."""
     blur_px: float = 1.2
+    """Standard deviation of the blur before gradients are taken."""
     around_px: int = 41
-    """Side of the square around a gradient to which it is compared."""
+    """Side of the square around a gradient with whose gradients it is compared."""
     faint: float = 0.25
-    """Least root mean square of the gradients there, in grey values a pixel; anything fainter, such
-    as fog and silhouettes, says nothing."""
+    """Least root mean square of the gradients in such a square, in grey values a pixel; anything
+    fainter, such as fog and silhouettes, says nothing."""
     greatest: float = 3.0
     """Greatest gradient, as a multiple of that root mean square: a strong edge counts no more than
     an edge."""
@@ -100,10 +102,10 @@ class _Odds:
 
     slope: float = 1.0
     even: float = 1.5
-    """``slope``, ``even``: rounded from a logistic fit to right poses of 9 photographs of the
-    Sierra Nevada, Columbia Glacier and Rofental, and to 54 wrong poses of these and of strangers.
-    With them the log loss of the confidence within 1 km fell from 0.20 to 0.13 for 31 other
-    matches, 5 of them right."""
+    """``slope``, ``even``: b and z_0, rounded from a logistic fit to right poses of 9 photographs
+    of the Sierra Nevada, Columbia Glacier and Rofental, and to 54 wrong poses of these and of
+    strangers. With them the log loss of the confidence within 1 km fell from 0.20 to 0.13 for 31
+    other matches, 5 of them right."""
     most: float = math.log(10.0)
     """Greatest change of the log odds: one photo in ten may be unlike those photographs."""
 
@@ -114,7 +116,7 @@ _ODDS = _Odds()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Gradients:
-    """Gradients (h, w) of a photo's shades, relative to those around."""
+    """Gradients (h, w) of a photo's shades, relative to the gradients around."""
 
     across: Float32Array
     down: Float32Array
@@ -132,7 +134,7 @@ class _Points(Rows):
     row: Float64Array
     distance_m: Float64Array
     play_px: Float64Array
-    """(N,). Greatest distance of an edge."""
+    """(N,). Greatest distance of an edge from the point."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -146,7 +148,7 @@ class _Pieces:
     begin: IntArray
     """(P,). First point of each piece."""
     play_px: IntArray
-    """(P,). Greatest distance of an edge."""
+    """(P,). Greatest distance of an edge from the piece."""
 
     @property
     def lengths(self) -> IntArray:
@@ -329,8 +331,8 @@ def _paths(points: _Points) -> list[IntArray]:
         after = apart.argmin(axis=1)
         before = apart.argmin(axis=0)
         is_mutual = before[after] == np.arange(middle - left)
-        one = np.flatnonzero(is_mutual & (apart.min(axis=1) <= _RULES.linked_px))
-        path_of[middle + after[one]] = path_of[left + one]
+        linked = np.flatnonzero(is_mutual & (apart.min(axis=1) <= _RULES.linked_px))
+        path_of[middle + after[linked]] = path_of[left + linked]
     order = np.argsort(path_of, kind="stable")
     return np.split(order, np.flatnonzero(np.diff(path_of[order])) + 1)
 
@@ -348,11 +350,11 @@ def _deviations(pieces: _Pieces, gradients: _Gradients) -> float | None:
         return None
     norm = np.sqrt(np.square(weight).sum(axis=1))
     total = (np.nan_to_num(scores) * weight).sum(axis=1) / np.where(norm > 0.0, norm, 1.0)
-    chance = weight.sum(axis=1) >= 0.5 * all_weight
-    chance[middle] = False
-    if chance.sum() < _RULES.least_shifts:
+    is_chance = weight.sum(axis=1) >= 0.5 * all_weight
+    is_chance[middle] = False
+    if is_chance.sum() < _RULES.least_shifts:
         return None
-    return float(total[middle] / max(1.0, np.sqrt(np.mean(np.square(total[chance])))))
+    return float(total[middle] / max(1.0, np.sqrt(np.mean(np.square(total[is_chance])))))
 
 
 def _strengths(pieces: _Pieces, gradients: _Gradients) -> Float64Array:
@@ -378,8 +380,8 @@ def _strengths(pieces: _Pieces, gradients: _Gradients) -> Float64Array:
 def _scores(strengths: Float64Array, play_px: IntArray) -> Float64Array:
     """Return the pieces' ranks at each shift, (2 S + 1, P).
 
-    They are normal deviates; NaN at shifts that are neither 0 nor used for chance, and for pieces
-    whose chance is not known.
+    The ranks are normal deviates; NaN at shifts that are neither 0 nor used for chance, and for
+    pieces whose chance is not known.
     """
     away = np.abs(np.arange(len(strengths)) - _RULES.most_shift_px)
     scores = np.full(strengths.shape, np.nan)

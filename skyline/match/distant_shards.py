@@ -151,15 +151,15 @@ def opening_of(stores: Sequence[str | Path], dem: Any = None) -> Opening[OpenAre
 def distant_shards(
     runner: Runner, opening: Opening[OpenAreas], rows: Sequence[int]
 ) -> list[list[DistantShard]]:
-    """Return the shards of areas, which have these numbers of places.
+    """Return the shards of each area, given the areas' numbers of places.
 
-    All workers get equally many places.
+    All workers get about equally many places.
     """
-    blocks = max(1, -(-sum(rows) // (_PARTS_A_WORKER * max(runner.workers, 1) * PLACES_A_CHUNK)))
+    chunks = max(1, -(-sum(rows) // (_PARTS_A_WORKER * max(runner.workers, 1) * PLACES_A_CHUNK)))
     shards = []
     number = 0
     for area, count in enumerate(rows):
-        starts = range(0, count, blocks * PLACES_A_CHUNK)
+        starts = range(0, count, chunks * PLACES_A_CHUNK)
         some = []
         for first in starts:
             part = Part(area, first, min(first + starts.step, count), number)

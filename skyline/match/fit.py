@@ -146,13 +146,13 @@ class CurveFit:
         pitch, roll, log_scale = (state[:, k, np.newaxis] for k in (_PITCH, _ROLL, _LOG_SCALE))
         azimuth, tangent = self._rays.levelled(pitch, roll, log_scale, lift)
         toward = azimuth + state[:, :1]
-        profile, slope, near = self._skyline_at(toward)
+        profile, slope, nearness = self._skyline_at(toward)
         known = np.isfinite(slope)
         slope = np.where(known, slope, np.float32(0.0))
         sine, cosine = np.sin(toward), np.cos(toward)
         ground = self._ground_slope[:, :, np.newaxis]
-        east = (slope * cosine + profile * sine - ground[:, 0]) * near
-        north = (profile * cosine - slope * sine - ground[:, 1]) * near
+        east = (slope * cosine + profile * sine - ground[:, 0]) * nearness
+        north = (profile * cosine - slope * sine - ground[:, 1]) * nearness
         miss = tangent - profile - east * state[:, _EAST, np.newaxis]
         miss -= north * state[:, _NORTH, np.newaxis]
         turned = near_level_changes(azimuth, tangent, slope, self._rays.projection)
@@ -160,7 +160,7 @@ class CurveFit:
         if self._rays.is_panorama:
             wander = np.tile(self._wander.T, (len(state), 1, 1))
             change = np.concatenate([change, wander], axis=1)
-        return _Misses(np.where(known, miss, np.float32(0.0)), change, near, known)
+        return _Misses(np.where(known, miss, np.float32(0.0)), change, nearness, known)
 
     def _skyline_at(self, azimuth: Float32Array) -> tuple[Float32Array, Float32Array, Float32Array]:
         """Return the places' skylines at azimuths (M, R).
@@ -183,8 +183,8 @@ class CurveFit:
         profile = np.where(known, profile, np.float32(0.0)) + share * rise
         coarse = self._nearness.shape[1]
         run = np.floor((position + np.float32(0.5)) * np.float32(coarse / bins)).astype(np.intp)
-        near = self._nearness.ravel()[(np.arange(count) * coarse)[:, np.newaxis] + run % coarse]
-        return profile, slope, near
+        nearness = self._nearness.ravel()[(np.arange(count) * coarse)[:, np.newaxis] + run % coarse]
+        return profile, slope, nearness
 
     def _weight(self, state: Float32Array, misses: _Misses, scale_deg: float) -> Float32Array:
         """Return the weights (M, R) of rays in a round."""
@@ -198,8 +198,8 @@ class CurveFit:
     def _photo_error(self, state: Float32Array) -> FloatArray:
         """Return the expected error (M,) of a photo's tangents.
 
-        It is as large as a pixel, since a camera measures pixels. If the error did not grow with
-        the field of view, a small enough field of view would make every miss small.
+        The error is a number of pixels, since a camera measures in pixels, so it grows with the
+        field of view. If it did not, a small enough field of view would make every miss small.
         """
         projection = self._rays.projection
         usual = float(projection.half_width(REFERENCE_FOV_DEG))

@@ -97,12 +97,11 @@ class JointResult:
             for one in self.places
         ]
         photos = []
-        for one in self.results:
+        for one, agrees in zip(self.results, self.agrees, strict=True):
             about: dict[str, Any] = {"refusal": one.refusal}
             if one.best is not None:
                 of_best = one.best.to_dict()
                 about = {name: of_best[name] for name in _OF_CAMERA}
-            agrees = one.best is not None
             names = {"photo": printable(one.name), **({"id": printable(one.id)} if one.id else {})}
             photos.append({**names, "agrees": agrees, **about})
         return {

@@ -1,7 +1,7 @@
 r"""The prior of a lens: one density for search, fits and verdict.
 
-With the logarithm x of a scale over the noted one (`skyline.match.rays.Rays.log_scale`), the
-deviation s of the noted one and the probability w that the photo was cropped,
+With the logarithm x of a scale divided by the noted scale (`skyline.match.rays.Rays.log_scale`),
+the standard deviation s of x, and the probability w that the photo was cropped,
 
 .. math::
 
@@ -48,7 +48,7 @@ class LensPrior:
     def cost(self, log_scale: Any) -> Float64Array:
         """Return the negative log density of logarithms of scales, any shape.
 
-        It is 0 at the noted one.
+        It is 0 at the noted scale.
         """
         core, tail, share = self._parts(log_scale)
         if not share:

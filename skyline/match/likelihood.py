@@ -223,7 +223,7 @@ def likelihood(
     spread = ((factor @ inner) * factor).sum(axis=-1)
     off = residual - explained
     bare: Float64Array | float = 1.0 - _MODEL.above_share - _MODEL.below_share
-    other = log_density_without_terrain(residual)
+    log_other = log_density_without_terrain(residual)
     limited = np.isfinite(errors.rise_rad)
     open_ = errors.beyond_rad > 0.0
     if limited.any():
@@ -231,23 +231,23 @@ def likelihood(
         covered, density = _raised(off, errors.rise_rad, np.sqrt(variance + spread), shown)
         bare = np.where(limited, shown - covered, bare)
         density = scale * (density + _MODEL.below_share / _MODEL.range_rad)
-        other = np.where(limited, np.log(density), other)
+        log_other = np.where(limited, np.log(density), log_other)
     if open_.any():
         sd_rad = np.sqrt(variance + spread)
         hidden, density = _raised(off, errors.beyond_rad, sd_rad, _MODEL.beyond_share)
         bare = np.where(open_, bare * (1.0 - hidden), bare)
-        either = np.exp(other) * (1.0 - hidden) + scale * density
-        other = np.where(open_, np.log(either), other)
-    terrain = np.log(bare) - 0.5 * np.log(2.0 * np.pi * variance / scale**2)
-    terrain_off = terrain - 0.5 * (off**2 + spread) / variance
-    ratio = np.exp(np.clip(terrain_off - other, -50.0, 50.0))
+        either = np.exp(log_other) * (1.0 - hidden) + scale * density
+        log_other = np.where(open_, np.log(either), log_other)
+    log_peak = np.log(bare) - 0.5 * np.log(2.0 * np.pi * variance / scale**2)
+    log_terrain = log_peak - 0.5 * (off**2 + spread) / variance
+    ratio = np.exp(np.clip(log_terrain - log_other, -50.0, 50.0))
     odds = known * ratio / (1.0 + ratio)
     weight = trust * odds / variance
     explained, inner, half_log_det = _explained(residual, weight, factor)
     # The entropy of these odds, and the log densities that they weigh, add up to one logarithm. It
     # needs a ratio below its upper bound: with the solver's least deviation it is at most e^10.
-    each = -other - known * np.log1p(ratio)
-    each += odds * (terrain_off - terrain)
+    each = -log_other - known * np.log1p(ratio)
+    each += odds * (log_terrain - log_peak)
     fit = 0.5 * (weight * residual * (residual - explained)).sum(axis=1)
     cost = each @ trust + half_log_det + fit
     return Likelihood(cost, fit, odds, trust * odds, angle_rad**2 / variance, weight, factor, inner)
@@ -270,9 +270,9 @@ def log_density_without_terrain(residual_rad: Float64Array) -> Float64Array:
 def _raised(
     off_rad: Float64Array, rise_rad: Float64Array, sd_rad: Float64Array, share: float
 ) -> tuple[Float64Array, Float64Array]:
-    """Return the odds and density of objects above the terrain.
+    """Return the probability and density of objects above the terrain.
 
-    The odds are the probability (M, R) that an object stands above the terrain; the density is that
+    The first result (M, R) is the probability that a column shows an object; the second is this
     probability times the density of the column's residual. The object's height is uniform up to the
     rise, blurred by the errors. The probability is ``share`` for a rise far above the errors, and
     falls as the rise shrinks.
@@ -290,7 +290,7 @@ def _explained(
 ) -> tuple[Float64Array, Float64Array, Float64Array]:
     """Return the part of residuals (M, R) due to height errors.
 
-    The other results are the inner inverse and half the log determinant.
+    The other results are `Likelihood.inner`, and half the log determinant of its inverse.
     """
     across = factor.swapaxes(1, 2)
     core = across @ (weight[..., np.newaxis] * factor) + np.eye(factor.shape[2])

@@ -68,7 +68,7 @@ class Matcher(Closeable):
         make of them. The full matcher also searches stores of several DEMs, in any frames, as one.
     dem : path, paths, DataArray or HeightField, optional
         The DEM that the store was rendered from; by default it is read from the files that the
-        store names. Stores of several DEMs allow nothing else. The full matcher takes heights from
+        store names, and for stores of several DEMs it must be. The full matcher takes heights from
         it, and renders it for refinement. If it cannot be read, a warning is logged and answers
         stay unrefined.
     matcher : str
@@ -78,8 +78,8 @@ class Matcher(Closeable):
         Settings of the search, and the least confidence of an answer.
     render_thread : RenderThread, optional
         A thread that renders, for programs that also render something more urgent, as a page does:
-        it comes between the pieces of a match. Any thread may match, and several at a time, with or
-        without it.
+        what is urgent comes between the pieces of a match. Any thread may match, and several at a
+        time, with or without a render thread.
     surface : path, paths, DataArray or HeightField, optional
         A surface or canopy model: the height to which trees and houses may rise above the DEM's
         skyline. The full matcher uses it in refinement.
@@ -119,7 +119,7 @@ class Matcher(Closeable):
         self._scenes: list[RenderedScene] = []
         opened = [self._opened(method, group, dem, surface) for group in groups]
         if len(self._scenes) < len(groups):
-            # Costs of refined poses do not compare with others: all are refined, or none.
+            # Costs of refined poses do not compare with costs of others: all are refined, or none.
             self.close()
         self.areas = tuple(area for area, _ in opened)
         if any(area.frame.lonlat_crs != self.crs for area in self.areas):
@@ -419,19 +419,19 @@ class Matcher(Closeable):
     ) -> list[Posterior]:
         """Return the posterior of each photo of a walk, from all photos.
 
-        One person took them, and went at most at this speed from one to the next, as the crow
-        flies. All posteriors are on one grid.
+        One person took the photos, and went from each to the next at ``walked_km_h`` at most, as
+        the crow flies. All posteriors are on one grid.
 
         Parameters
         ----------
         results : sequence of MatchResult or JointResult
             As `posterior` takes, in any order.
         times : sequence of datetime
-            When each was taken, all by one clock: all with a zone, or none.
+            When each photo was taken, all by one clock: all with a zone, or none.
         walked_km_h : float
             Greatest speed, kilometres per hour.
         progress : callable, optional
-            Called with the numbers of photos that are done, and of all.
+            Called with the number of photos that are done, and the number of all photos.
 
         Raises
         ------
@@ -661,22 +661,22 @@ class _Found:
 
     @property
     def confidence(self) -> float:
-        """How sure the best candidate is within 1 km; 0 if that is not known."""
+        """The best candidate's confidence within 1 km; 0 if not known."""
         return 0.0 if self.best is None else self.best.confidence_1km or 0.0
 
 
-def _surest(skylines: Sequence[_Found]) -> _Found:
+def _surest(searches: Sequence[_Found]) -> _Found:
     """Return the surest of the searches for several skylines of a photo.
 
     At most one of the skylines is the terrain's. So the best candidates of the others are rivals of
     the surest one, unless they are near it.
     """
-    surest = max(skylines, key=lambda found: found.confidence)
+    surest = max(searches, key=lambda found: found.confidence)
     if surest.best is None or not surest.confidence:
         return surest
     rivals = [
         found.confidence
-        for found in skylines
+        for found in searches
         if found.best and not found.best.is_same_answer(surest.best, ROUGHLY_WITHIN_M)
     ]
     share = beside_rivals(surest.confidence, rivals) / surest.confidence

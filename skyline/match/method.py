@@ -100,9 +100,9 @@ class SearchMethod(ABC):
     ) -> tuple[list[Poses], BoolArray]:
         """Return the best common places of photos of one eye.
 
-        The second value says which of the N photos agree on them. Each photo's poses, up to
-        ``top``, are at the same places in the same order. A photo that does not agree, (N,) bool,
-        was likely taken at another place.
+        Each photo's poses, up to ``top``, are at the same places in the same order. The second
+        value, (N,) bool, says which of the N photos agree; a photo that does not was likely taken
+        at another place.
         """
         raise InputError(BY_RENDERING)
 

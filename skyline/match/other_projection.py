@@ -1,11 +1,12 @@
 r"""Whether another projection than assumed would bend a skyline like this.
 
 A photo that does not say otherwise is taken for a perspective one. An unmarked panorama or fisheye
-may then fit the right place all the same, with a field of view and a distortion that no lens has,
-and its eye and its angles are wrong. So the best pose is fitted three times to the same columns: as
-a perspective photo, as a cylindrical panorama and as a fisheye. Each fit begins with the scale of
-the perspective fit in the middle of the photo. With the cost c of a fit, the temperature T, and the
-prior density p of how its image is bent, the log odds of another projection are
+may then fit near the right place all the same, with a wrong eye and wrong angles, and with a field
+of view and a distortion that no lens has. So the best pose is fitted three times to the same
+columns: as a perspective photo, as a cylindrical panorama and as a fisheye. Each fit begins with
+the scale that the perspective fit has in the middle of the photo. With the cost c of a fit, the
+temperature T, and the prior density p of how its image is bent, the log odds of another projection
+are
 
 .. math::
 
@@ -52,8 +53,9 @@ class BentImages:
     start_scales: tuple[float, ...] = (0.87, 1.0)
     """Factors on the perspective fit's scale from which the other projections are fitted."""
     columns_per_bin: float = 0.8
-    """Columns in the solver's step of azimuth in which a perspective photo has the most. The solver
-    averages no two of them in any projection, so all costs have the same columns."""
+    """Columns in a step of the solver's azimuth at the side of a perspective photo, where they lie
+    densest. Below 1 the solver averages no two of them in any projection, so all costs are of the
+    same columns."""
     fisheye_term: float = -1.0 / 24.0
     """Mean of t in the mapping of fisheyes, half way from an equidistant lens to a stereographic
     one; see `skyline.match.rays.CameraModel.fisheye_sd`."""
@@ -124,7 +126,7 @@ def find_other_projection(
     ----------
     rays : Rays
     pose : Poses
-        The photo's best pose: one.
+        The photo's best pose alone.
     sure : float
         The confidence of the pose.
     refinement_of : callable

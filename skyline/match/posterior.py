@@ -72,7 +72,8 @@ class Spread:
     temperature: float = 0.2
     """T, by which the costs of fitted poses are divided."""
     around_m: float = 60.0
-    """t, the deviation around fitted poses and places, beside half a place's square."""
+    """t, the deviation around fitted poses; around a place, half the side of its square is added in
+    quadrature."""
     score_weight: float = 8.0
     """b, the gain of log probability with the score of a place."""
     reach_sds: float = 10.0
@@ -87,7 +88,7 @@ class MapSize:
 
     most_cells: int = 4_000_000
     finest_m: float = 2.0
-    """Candidates are seldom more exact."""
+    """Least side of a cell; candidates are seldom more exact."""
 
 
 SPREAD = Spread()
@@ -202,7 +203,7 @@ class Posterior(ShortRepr):
     def share_at(self, *, easting_m: float, northing_m: float) -> float:
         """Return the probability of all cells more probable than a place's.
 
-        The place lies in the regions of greater shares.
+        The place lies in the regions of all greater shares.
         """
         own = self.probability_at(easting_m=easting_m, northing_m=northing_m)
         return float(self.probability[self.probability > own].sum(dtype=np.float64))
@@ -303,9 +304,10 @@ class MapGrid:
 
 
 def posterior_of(found: Findings, frame: Frame, grid: MapGrid | None = None) -> Posterior:
-    """Return the posterior of a photo, in the frame of its places and poses.
+    """Return the posterior of a photo.
 
-    By default the grid is the one around the places and the candidates.
+    ``frame`` is the frame of its places and poses. By default the grid is the one around the places
+    and the candidates.
     """
     fitted, places, noted = found.fitted, found.places, found.noted
     spots, roughly, left = candidate_spots(found.candidates)
@@ -355,7 +357,7 @@ def candidate_spots(candidates: Sequence[Pose]) -> tuple[Spots, float, float]:
 
 
 def _log_prior(at: Poses | AlikePlaces, noted: PlacePrior | None) -> Float64Array:
-    """Return the unnormalized log density (N,) of places, by the noted one."""
+    """Return the log density (N,) of places by the noted place, unnormalized."""
     none = np.zeros(len(at))
     if noted is None:
         return none

@@ -37,8 +37,8 @@ class CameraModel:
     the angle off the axis. An equidistant lens has 0, an equisolid one 1/24, a stereographic one
     -1/12."""
     wander_fov_deg: float = 240.0
-    """Field of view of a panorama whose rows wander by 1 degree, divided by the polynomial's degree
-    minus 1. The deviations grow with the square root of the field of view."""
+    """Field of view of a panorama whose factor of a polynomial of degree n has a standard deviation
+    of 1 / (n - 1) degrees. The deviations grow with the square root of the field of view."""
     searched_sds: float = 4.0
     """Standard deviations to either side of a given field of view that are searched."""
 
@@ -54,7 +54,7 @@ class Rays(ImagePoints):
     """
 
     weight: Float64Array
-    """(R,) float64. Trust in each ray, at least 0; only ratios matter."""
+    """(R,) float64. Trust in each ray, at least 0; see `thinned` and `in_runs` for averages."""
     fov_range_deg: tuple[float, float] | None = None
     """Range of the true field of view; by default it is `fov_deg` exactly."""
     lens: LensPrior = LensPrior()  # noqa: RUF009  (it is frozen)
@@ -68,9 +68,9 @@ class Rays(ImagePoints):
     def of(cls, photo: PhotoSkyline, fov_sd_share: float, *, finds_fov: bool) -> "Rays":
         """Return a photo's rays, and its possible fields of view.
 
-        ``fov_sd_share`` is the deviation of a field of view, as a share of it, where its lens has
-        none of its own. Raises `InputError` for a photo of unknown field of view, unless the
-        matcher finds it, and for a panorama or a fisheye of unknown field of view.
+        ``fov_sd_share`` is the standard deviation of a field of view, as a share of it, where the
+        photo's `Lens` has none. Raises `InputError` for a photo of unknown field of view, unless
+        the matcher finds it, and for a panorama or a fisheye of unknown field of view.
         """
         weight = photo.trust[photo.trusted]
         if photo.fov_deg is not None:
@@ -120,7 +120,7 @@ class Rays(ImagePoints):
         return float(low), float(high)
 
     def searched_fov_deg(self, log_scale: Float64Array) -> Float64Array:
-        """Return `fov_at` of factors, clipped to `fov_bounds_deg`."""
+        """Return `fov_at` of logarithms of scales, clipped to `fov_bounds_deg`."""
         return np.asarray(np.clip(self.fov_at(log_scale), *self.fov_bounds_deg))
 
     @property
@@ -144,11 +144,12 @@ class Rays(ImagePoints):
     def about(
         self, fov_sd_deg: float, most_deg: float = math.inf, crop_share: float = 0.0
     ) -> "Rays":
-        """Return the rays with a field of view known to a deviation.
+        """Return the rays with a field of view known to a standard deviation.
 
-        Four standard deviations about the current one are searched, as far as a camera allows and
-        up to ``most_deg``; down to half of it, if the photo was cropped with a probability of
-        ``crop_share``. With a deviation of 0 the field of view is known exactly.
+        The search reaches four standard deviations to either side, but not beyond what a camera
+        allows or ``most_deg``, nor below half the field of view. If ``crop_share``, the probability
+        that the photo was cropped, is above 0, it always reaches down to that half. With a
+        deviation of 0 the field of view is known exactly.
         """
         if fov_sd_deg == 0.0:
             return self
@@ -183,8 +184,8 @@ def thinned(rays: Rays, bins: int) -> Rays:
     """Average the rays within each step of azimuth.
 
     There are ``bins`` steps all the way round a level camera. The terrain's curve is no finer than
-    its bins, so averages hold nearly all the information of many columns at the cost of few. They
-    are returned from left to right. The weight of an average is the mean weight of its rays, so
+    its bins, so averages hold nearly all the information of many columns at the cost of few. The
+    averages run from left to right. The weight of an average is the mean weight of its rays, so
     weights refer to the noise of averages.
     """
     azimuth = rays.u if rays.projection.spreads_angles else np.arctan(rays.u)

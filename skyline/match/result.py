@@ -214,11 +214,11 @@ class MatchResult:
         if abs(exif["heading_off_deg"] or 0.0) > _DISAGREEMENT.compass_deg:
             wrong.append("compass")
         if wrong:
-            both = " and ".join(wrong)
+            notes = " and ".join(wrong)
             then = "one of them is wrong"
             if self.answer is None and "position" in wrong:
                 then = "if the photo is right, search round its position"
-            sentences.append(f"The photo's {both} and {it} disagree: {then}.")
+            sentences.append(f"The photo's {notes} and {it} disagree: {then}.")
         return " ".join(filter(None, [*sentences, exif["left_aside"]]))
 
     def to_dict(self) -> dict[str, Any]:
@@ -370,7 +370,10 @@ def to_geodataframe(results: Iterable[MatchResult]) -> "GeoDataFrame":
 
 
 def confidence_within(one: Pose, within_m: float | None) -> float | None:
-    """Return the confidence of a pose within 1 km if it is asked for, else within 200 m."""
+    """Return a pose's confidence within a distance, 200 m or 1 km.
+
+    Without a distance it is the confidence within 200 m.
+    """
     return one.confidence_1km if within_m == ROUGHLY_WITHIN_M else one.confidence
 
 
@@ -400,7 +403,7 @@ def view_in_words(one: Pose) -> str:
 
 
 def quality_in_words(one: Pose) -> str:
-    """Return the confidences of a pose in words, or its cost without any."""
+    """Return a pose's confidences in words, or its cost if it has none."""
     if one.confidence is None:
         return f"cost {one.cost:.3g} (the lower, the better it fits)"
     return f"confidence {one.confidence:.2f} within 200 m, {one.confidence_1km:.2f} within 1 km"

@@ -72,16 +72,16 @@ class Shard(Protocol):
         least: float = -math.inf,
         report: StepProgress = silent,
     ) -> Alike:
-        """Return the best ``count`` places for photos, whose scores are added.
+        """Return the ``count`` places with the best sums of photos' scores.
 
         The places lie within the narrowings of all priors, which are in the shard's frame, and have
-        scores of ``least`` or more.
+        sums of ``least`` or more.
         """
 
     def alike_places(
         self, screens: Sequence[Screen], priors: Sequence[Prior], report: StepProgress = silent
     ) -> AlikePlaces:
-        """Return all places within all narrowings, with their scores for photos."""
+        """Return all places within all narrowings, with the sums of photos' scores."""
 
     def rescored(self, screens: Sequence[Screen], rows: IntArray) -> Float32Array:
         """Return the summed scores of photos at places (M,), in order."""
@@ -151,13 +151,13 @@ class LocalShard:
         """See `Shard.best_turns`."""
         groups = range(0, len(rows), CHOSEN_AT_ONCE)
 
-        def found(k: int) -> Turns:
-            phase = self._places.phases(rows[k : k + CHOSEN_AT_ONCE])
+        def turns_from(first: int) -> Turns:
+            phase = self._places.phases(rows[first : first + CHOSEN_AT_ONCE])
             grid_heading_deg, fov, score = screen.best_turns(phase, count)
             return Turns(grid_heading_deg=grid_heading_deg, fov=fov, score=score)
 
         with ThreadPoolExecutor(os.cpu_count()) as pool:
-            return Turns.concatenate(list(pool.map(found, groups)))
+            return Turns.concatenate(list(pool.map(turns_from, groups)))
 
     def fitted(
         self, rays: Rays, starts: Starts, effort: FitEffort, report: StepProgress = silent
@@ -165,7 +165,7 @@ class LocalShard:
         """See `Shard.fitted`."""
         means = in_runs(rays, effort.runs)
 
-        def fitted(first: int) -> Poses:
+        def fitted_from(first: int) -> Poses:
             part = starts[slice(first, first + _FITS_AT_ONCE)]
             places = self._places.take(part.row)
             fit = CurveFit(places, self._slope(places), means, effort)
@@ -178,7 +178,7 @@ class LocalShard:
         found = []
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             try:
-                for poses in pool.map(fitted, parts):
+                for poses in pool.map(fitted_from, parts):
                     found.append(poses)
                     report(Step.FITTING, len(found) / len(parts))
             except BaseException:

@@ -35,8 +35,8 @@ from skyline.terrain.data_edge import DataEdge
 
 EYE_HEIGHT = UP
 """Column of a state with the eye's height above the ground, metres. The other columns of a state
-are the unknowns of a pose, where `EAST` and `NORTH` are the eye's displacement, and the warps of
-the image are those of `Rays.warp_sd`."""
+are the unknowns of a pose: `EAST` and `NORTH` are the eye's displacement, and from `WARP` on there
+is a column for each warp of `Rays.warp_sd`."""
 
 ANGLES_DEG = np.array([0.03, 0.05, 0.08, 0.12, 0.2, 0.3, 0.5, 0.8])
 """Standard deviations of the photo's error from which the likeliest is chosen."""
@@ -75,8 +75,8 @@ class SolverPriors:
     """Standard deviation of the logarithm of `HEIGHT_SHARES`."""
     terrain_weight: float = 4.0
     """Factor on the log priors of the eye's height and of the height errors. Neighbouring columns
-    share errors that the likelihood takes for independent, so costs are too large by about this
-    factor."""
+    share errors that the likelihood takes for independent, so costs are too large, and priors
+    without a factor would hardly count."""
     lens_weight: float = TEMPERATURE
     """Factor on the log prior of the lens. Costs are too large by about `TEMPERATURE`, and the
     lens is known as well as its file says."""
@@ -106,8 +106,8 @@ class SolverMode:
     steps: int
     """Gauss-Newton steps from one rendering."""
     choices: int
-    """Number of first steps before each of which the errors' standard deviations are chosen
-    again."""
+    """How often the errors' standard deviations are chosen again: before each of so many steps, and
+    after the last step if this is one more than `steps`."""
     nodes: int
     """Height errors along a skyline; see `HeightErrors.of`."""
     bins: int = 1440
@@ -213,7 +213,8 @@ class Linearization:
     distance_m: Float64Array
     """(M, R) float64. Distance of the terrain's skyline in each column."""
     rise_rad: Float64Array | None
-    """(M, R) float64. How far things may rise above it; None without a surface model."""
+    """(M, R) float64. How far things may rise above the terrain's skyline; None without a surface
+    model."""
     place_m: Complex128Array
     """(M,) complex128. Places of the states' eyes; see `Curves`."""
     eye_m: Float64Array
@@ -331,9 +332,10 @@ class Solver:
         errors = None
         for step in range(self.mode.steps + 1):
             linear = self.linearize(curves, fit.state)
+            # The errors at the first state serve all steps.
             errors = self._errors(linear, curves) if errors is None else errors
-            tried = _NEIGHBOURS if step < self.mode.choices else ()
-            fit, found = self._with_deviations(fit, linear, errors, tried)
+            neighbours = _NEIGHBOURS if step < self.mode.choices else ()
+            fit, found = self._with_deviations(fit, linear, errors, neighbours)
             if step < self.mode.steps:
                 fit = self._stepped(fit, linear, found, step_m)
         return fit
@@ -355,15 +357,15 @@ class Solver:
         linear = self.linearize(curves, fit.state)
         off = linear.residual_rad[..., np.newaxis] - _AGREEMENT_RAD
         density = np.exp(-0.5 * (off / _AGREEMENT_SD_RAD) ** 2) / _AGREEMENT_SD_RAD
-        odds = np.log(density + density_without_terrain(off))
-        agreement = np.tensordot(np.nan_to_num(odds), self.rays.weight, axes=(1, 0))
+        log_density = np.log(density + density_without_terrain(off))
+        agreement = np.tensordot(np.nan_to_num(log_density), self.rays.weight, axes=(1, 0))
         state = fit.state.copy()
         state[:, PITCH] -= _AGREEMENT_RAD[np.argmax(agreement, axis=1)]
-        agreed = int(np.searchsorted(np.radians(ANGLES_DEG), _AGREEMENT_SD_RAD))
+        angle_index = int(np.searchsorted(np.radians(ANGLES_DEG), _AGREEMENT_SD_RAD))
         return replace(
             fit,
             state=state,
-            angle_index=np.full_like(fit.angle_index, min(agreed, _WIDEST_ANGLE)),
+            angle_index=np.full_like(fit.angle_index, min(angle_index, _WIDEST_ANGLE)),
             height_index=np.full_like(fit.height_index, len(HEIGHT_SHARES) // 2),
             odds=np.ones_like(fit.odds),
         )
@@ -388,7 +390,7 @@ class Solver:
         return np.asarray(each[:, np.newaxis] * np.eye(self.size))
 
     def _lens_precision(self, state: Float64Array) -> Float64Array:
-        """Return how strongly the lens's prior pulls states (M,)."""
+        """Return the precision (M,) with which the lens's prior pulls states."""
         return _PRIORS.lens_weight * self.rays.lens.precision(state[:, LOG_SCALE])
 
     def linearize(self, curves: Curves, state: Float64Array) -> Linearization:
@@ -485,18 +487,18 @@ class Solver:
         fit: Fit,
         linear: Linearization,
         errors: HeightErrors,
-        steps: Sequence[tuple[int, int]],
+        neighbours: Sequence[tuple[int, int]],
     ) -> tuple[Fit, Likelihood]:
         """Return the fit with the likeliest errors: its own or neighbouring ones."""
         angle_index = fit.angle_index
         height_index = fit.height_index
         best = self._likelihood(fit, linear, errors)
         fit = replace(fit, odds=best.odds)
-        for step in steps:
+        for by_angle, by_height in neighbours:
             other = replace(
                 fit,
-                angle_index=np.clip(fit.angle_index + step[0], 0, _WIDEST_ANGLE),
-                height_index=np.clip(fit.height_index + step[1], 0, _WIDEST_HEIGHT),
+                angle_index=np.clip(fit.angle_index + by_angle, 0, _WIDEST_ANGLE),
+                height_index=np.clip(fit.height_index + by_height, 0, _WIDEST_HEIGHT),
             )
             found = self._likelihood(other, linear, errors)
             better = found.cost < best.cost

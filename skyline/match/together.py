@@ -68,13 +68,14 @@ class JointRefinement:
     ) -> tuple[tuple[Poses, ...], BoolArray]:
         """Return the M places where the N photos fit together, best first.
 
-        The second value says which photos agree there. ``found`` holds each photo's poses; all
-        photos have the same places in the same order, best first. ``alone`` holds the best pose
-        from each photo's own refinement, if there is one. The returned poses of each photo are at
-        the same places; their costs are the costs of the places. Margins and covariances are joint
-        ones, with the information of one average photo, not the sum: photos of one place share the
-        terrain model's errors. A photo agrees, (N, M) bool, with a place where it was more likely
-        taken than elsewhere.
+        The second value, (N, M) bool, says which photos agree with which places: a photo agrees
+        with a place if it was more likely taken there than elsewhere.
+
+        ``found`` holds each photo's poses; all photos have the same places in the same order, best
+        first. ``alone`` holds the best pose from each photo's own refinement, if there is one. The
+        returned poses of each photo are at the same places; their costs are the costs of the
+        places. Margins and covariances are joint ones, with the information of one average photo,
+        not the sum: photos of one place share the terrain model's errors.
         """
         effort = self._effort
         particles = [
@@ -120,9 +121,8 @@ class JointRefinement:
 
         The rivals of the best one are among them.
         """
-        standing = self._solos[0].poses(particles[0])
-        standing = replace(standing, cost=_cost(self._off(particles)))
-        chosen = best_and_rivals(standing, count)
+        places = replace(self._solos[0].poses(particles[0]), cost=_cost(self._off(particles)))
+        chosen = best_and_rivals(places, count)
         return [own[chosen] for own in particles]
 
     def _off(self, particles: Sequence[Particles]) -> Float64Array:
@@ -159,11 +159,11 @@ class JointRefinement:
         covariance_m2 = TEMPERATURE * np.linalg.inv(mean)[:, :EYE_HEIGHT, :EYE_HEIGHT]
         covariance_m2 = 0.5 * (covariance_m2 + covariance_m2.swapaxes(1, 2))
         poses = [solo.with_figures(own) for solo, own in zip(self._solos, particles, strict=True)]
-        standing = replace(poses[0], cost=cost)
+        places = replace(poses[0], cost=cost)
         # Margins and covariances are of one average photo, and so are these odds.
-        covariance_m2 = spread_m2(replace(standing, cost=cost / len(poses)), covariance_m2)
+        covariance_m2 = spread_m2(replace(places, cost=cost / len(poses)), covariance_m2)
         margin, far_margin = (
-            standing.rival_margin(least_m) / np.maximum(agrees.sum(axis=0), 1)
+            places.rival_margin(least_m) / np.maximum(agrees.sum(axis=0), 1)
             for least_m in DISTANCES_M
         )
         joint = {"covariance_m2": covariance_m2, "margin": margin, "far_margin": far_margin}
@@ -175,23 +175,22 @@ class JointRefinement:
 
 def _at_best_headings(solo: Refinement, place_m: Complex128Array) -> Particles:
     """Return a photo's best particle over all headings, by place."""
-    turn_deg = np.arange(0.0, 360.0, _SEARCH.heading_step_deg)
-    at_m = place_m[np.repeat(np.arange(len(place_m)), len(turn_deg))]
+    tried_deg = np.arange(0.0, 360.0, _SEARCH.heading_step_deg)
+    at_m = np.repeat(place_m, len(tried_deg))
     none = np.zeros(len(at_m))
-    heading_deg = np.tile(turn_deg, len(place_m))
     every = Poses(
         easting_m=at_m.real,
         northing_m=at_m.imag,
         eye_elevation_m=none,
-        grid_heading_deg=heading_deg,
+        grid_heading_deg=np.tile(tried_deg, len(place_m)),
         pitch_deg=none,
         roll_deg=none,
         fov_deg=none + solo.scout.rays.fov_deg,
         cost=none,
     )
     seen = solo.started(solo.scout, every)
-    cost = seen.fit.cost.reshape(len(place_m), len(turn_deg))
-    best = seen[np.arange(len(place_m)) * len(turn_deg) + cost.argmin(axis=1)]
+    cost = seen.fit.cost.reshape(len(place_m), len(tried_deg))
+    best = seen[np.arange(len(place_m)) * len(tried_deg) + cost.argmin(axis=1)]
     return solo.started(solo.rough, solo.poses(best))
 
 

@@ -192,14 +192,14 @@ def refusal_of(
 def candidate_reached(candidates: Sequence[Pose], start: Pose, fitted: Pose | None) -> Pose | None:
     """Return the candidate to which a fit has led, or None.
 
-    The fit leads to the nearest candidate of the same answer, or back to
-    the one that it started from, whichever fits better. A pose that fits better than both replaces
-    the nearest candidate: it gets the rank and the confidences, which belong to the answer. But a
-    pose that fits better than all candidates can only be the best one's answer; the search did not
-    know of others.
+    The fit leads to the nearest candidate that is the same answer as its pose, or back to the
+    candidate that it started from, whichever fits better. If the pose fits better than both, it
+    replaces the nearest candidate: it gets the rank and the confidences, which belong to the
+    answer. But if it also fits better than the best candidate, it can replace only the best one:
+    any other answer that fits so well is one that the search did not know.
 
-    Costs can be compared, since a fit ends with the rays and the prior of the search. Neither of
-    two poses of one answer fits better if their odds are less than e to 1.
+    Costs can be compared, since a fit ends with the rays and the prior of the search. The pose
+    fits better than a candidate if the odds are e to 1 or more.
     """
 
     def nearest(pose: Pose) -> Pose | None:
@@ -210,9 +210,9 @@ def candidate_reached(candidates: Sequence[Pose], start: Pose, fitted: Pose | No
     if fitted is None:
         return left
     near = nearest(fitted)
-    standing = [one for one in (near, left) if one and one.cost < fitted.cost + TEMPERATURE]
-    if standing:
-        return min(standing, key=lambda one: one.cost)
+    as_good = [one for one in (near, left) if one and one.cost < fitted.cost + TEMPERATURE]
+    if as_good:
+        return min(as_good, key=lambda one: one.cost)
     if near is None or (near is not candidates[0] and fitted.cost < candidates[0].cost):
         return None
     return replace(

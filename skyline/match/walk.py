@@ -62,11 +62,11 @@ def joined(posteriors: Sequence[Posterior], reach_m: Sequence[float]) -> list[Po
     InputError
         No walk leads through places where the photos can have been taken.
     """
-    before = list(_messages(posteriors, reach_m))
-    after = list(_messages(posteriors[::-1], reach_m[::-1]))[::-1]
+    earlier = list(_messages(posteriors, reach_m))
+    later = list(_messages(posteriors[::-1], reach_m[::-1]))[::-1]
     together = []
-    for own, first, last in zip(posteriors, before, after, strict=True):
-        product = own.probability * first * last
+    for own, before, after in zip(posteriors, earlier, later, strict=True):
+        product = own.probability * before * after
         total = product.sum(dtype=np.float64)
         if not total > 0.0:
             raise InputError(

@@ -216,7 +216,7 @@ class Extraction:
     """
 
     def __init__(self, image: UInt8Array, content: Content | None = None) -> None:
-        """Find the skyline in an image's content, by default all but its borders."""
+        """Find the skyline in an image's content; by default without borders."""
         self.content = content_of(image) if content is None else content
         self.photo = self.content.crop(image)
         small = _at_working_size(self.photo)

@@ -60,10 +60,10 @@ def frames_of(
 ) -> tuple[Size | None, Size]:
     """Return the frame that the camera noted, and the frame taken.
 
-    The first is None if the camera noted none. For a photo taken upright, some cameras note the
-    frame upright and some lying. Of the two, the frame that fits the file better is taken; if
-    neither fits, the frame of which the file shows a wider part is taken. A file of a shape that no
-    camera takes is a part of the sensor's shape.
+    The first is None if the camera noted none, or one of a shape that no camera takes. For a photo
+    taken upright, some cameras note the frame upright and some lying. Of the two, the frame that
+    fits the file better counts; if neither fits, the frame of which the file shows a wider part.
+    A frame of a shape that no camera takes is replaced by one of the sensor's shape.
     """
     width = positive(tags.get(Base.ExifImageWidth))
     height = positive(tags.get(Base.ExifImageHeight))
@@ -88,7 +88,10 @@ def frames_of(
 
 
 def cropped_width(size_px: tuple[int, int], frame: Size) -> float:
-    """Return the width, in the frame's pixels, of a file-shaped part."""
+    """Return the width, in a frame's pixels, of the part that a file shows.
+
+    It is the largest part of the file's shape, unless the file is unscaled.
+    """
     if is_unscaled(size_px, frame):
         return float(size_px[0])
     return size_px[0] * min(frame[0] / size_px[0], frame[1] / size_px[1])

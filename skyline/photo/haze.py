@@ -24,7 +24,7 @@ from skyline.photo.skyline import PhotoSkyline
 
 @dataclass(frozen=True, slots=True)
 class _Look:
-    """The band that is looked at, and what counts as a farther skyline."""
+    """The band about a skyline, and what counts as a farther skyline."""
 
     above_share: float = 0.12
     """Height of the band above the highest row of the skyline, as a share of all rows. A higher
@@ -121,7 +121,7 @@ class _Band:
         return cls(photo[above:below], row - above, top, content.left, len(photo), scale)
 
     def painted(self) -> UInt8Array:
-        """Return the band with the colours above the skyline painted over all below them."""
+        """Return the band, its ground painted with the colours above the skyline."""
         first = np.floor(self.ridge_row - _LOOK.painted_px).astype(np.intp)
         first = first.clip(0, len(self.pixels) - 1)
         above = self.pixels[first, np.arange(len(first))][np.newaxis]
@@ -131,7 +131,7 @@ class _Band:
         return np.where(is_below[..., np.newaxis], colours, self.pixels)
 
     def in_columns(self, values: Float64Array, width_px: int) -> Float64Array:
-        """Return values (w,) of the band's columns in the photo's columns; NaN outside."""
+        """Return values (w,) of the band in the photo's columns; NaN outside."""
         at = (np.arange(width_px) + 0.5) * self.scale - 0.5 - self.left
         within = np.interp(at, np.arange(len(values)), values, left=np.nan, right=np.nan)
         return np.asarray(within)

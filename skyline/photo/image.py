@@ -74,8 +74,8 @@ def photos_in(folder: Path, is_skipped: Callable[[Path], bool] = lambda _: False
     """Return the pictures in a folder and in the folders in it.
 
     Pillow says which files are pictures, whatever they are called. A warning names the other files.
-    Raw files are left out, and so are folders for which
-    ``is_skipped`` returns True. Raises `InputError` if there is no picture.
+    Raw files are left out, and so are folders for which ``is_skipped`` returns True. Raises
+    `InputError` if there is no picture.
     """
     photos: list[Path] = []
     others: list[str] = []
@@ -97,8 +97,9 @@ def _is_photo(path: Path) -> bool:
     """Return whether a file is a photo, even a damaged one."""
     suffix = path.suffix.lower()
     is_named_so = suffix in _PHOTO_SUFFIXES
-    # A camera's thumbnail of a video is a JPEG named .thm.
-    if suffix == ".thm" or (is_named_so and suffix not in _TIFF_SUFFIXES) or not path.exists():
+    is_thumbnail = suffix == ".thm"  # Of a video; cameras write a JPEG.
+    name_decides = is_thumbnail or (is_named_so and suffix not in _TIFF_SUFFIXES)
+    if name_decides or not path.exists():
         return is_named_so
     try:
         with opened_image(path) as image:
@@ -212,8 +213,8 @@ def _unlimited_size() -> Iterator[None]:
 def shrink_if_large(name: str, image: Image.Image, limits: SizeLimits = LIMITS) -> None:
     """Decode a large JPEG smaller, and refuse other large images.
 
-    A raw file is a TIFF whose first picture is a preview, with 1 as its NewSubfileType. Raises
-    `InputError`.
+    A raw file is refused as well: a TIFF whose first picture is a preview, with 1 as its
+    NewSubfileType. Raises `InputError`.
     """
     width, height = image.size
     if image.format == "TIFF" and image.getexif().get(Base.NewSubfileType) == 1:
@@ -239,7 +240,7 @@ def shrink_if_large(name: str, image: Image.Image, limits: SizeLimits = LIMITS) 
 
 
 def made_smaller(rgb: UInt8Array, longer_px: int) -> UInt8Array:
-    """Return pixels (h, w, 3) whose longer side has at most so many pixels."""
+    """Return a picture (h, w, 3) whose longer side is at most ``longer_px``."""
     height, width = rgb.shape[:2]
     scale = min(1.0, longer_px / max(height, width))
     size = max(1, round(width * scale)), max(1, round(height * scale))

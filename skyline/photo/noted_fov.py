@@ -82,7 +82,7 @@ class CropShares:
 
     Stabilization, digital zooms, crop modes, and programs that crop and note the new size narrow
     what is shown, and nothing widens it. Of 22 photographs with one source, most of them resized,
-    4 were narrower by more than 3 %; the other shares are guesses about that one.
+    4 were narrower by more than 3 %: hence `resized`. The other shares are guesses around it.
     """
 
     as_written: float = 0.05

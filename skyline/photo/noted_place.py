@@ -100,16 +100,16 @@ def place_from_exif(gps: Tags, xmp: Xmp = NO_XMP) -> NotedPlace:
             left_aside.append(f"The photo's GPS {name} is left aside: {why}.")
             return None
 
-    place = noted("position", _lonlat_deg)
+    lonlat_deg = noted("position", _lonlat_deg)
     elevation_m = noted("altitude", _elevation_m)
     heading_deg = noted("direction", _heading_deg)
-    north = {"M": True, "T": False}.get(text_of(gps, GPS.GPSImgDirectionRef)[:1])
+    is_magnetic = {"M": True, "T": False}.get(text_of(gps, GPS.GPSImgDirectionRef)[:1])
     return NotedPlace(
-        place,
+        lonlat_deg,
         elevation_m,
         heading_deg,
-        False if heading_deg is None else north,
-        None if place is None else _accuracy_m(gps),
+        False if heading_deg is None else is_magnetic,
+        None if lonlat_deg is None else _accuracy_m(gps),
         " ".join(left_aside),
         _takeoff_height_m(xmp),
     )

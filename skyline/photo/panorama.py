@@ -32,9 +32,9 @@ def panorama_of_xmp(xmp: Xmp, size_px: tuple[int, int]) -> tuple[Projection, Len
 
     Returns None if XMP notes no panorama. ``size_px`` is the width and the height of the file's
     pixels, upright. XMP notes the size of the panorama when it was made and the width of a full
-    turn. A file of that shape shows the whole panorama. A file with all its rows or all its columns
-    was cropped to its own size. Any other file shows at least its pixels at the panorama's scale,
-    and at most the largest part of its shape.
+    turn. A file of the panorama's shape shows all of it. A file with all of the panorama's rows or
+    columns was cropped, and not scaled. Any other file shows at most the largest part of the
+    panorama that has the file's shape, and at least its pixels at the panorama's scale.
     """
     if _NAMES_PANORAMA.search(xmp.broken):
         reason = "XMP mentions a panorama, but is damaged: its projection is not known"

@@ -41,9 +41,9 @@ def cheapest_path(cost: Float32Array, steps: Steps) -> IntArray:
     reachable = np.lib.stride_tricks.sliding_window_view(padded, 2 * steps.reach + 1)
     for column in range(1, n_columns):
         padded[steps.reach : steps.reach + n_rows] = best
-        candidates = reachable + step_price
-        choice = np.argmin(candidates, axis=1)
-        stepped = candidates[rows, choice]
+        by_step = reachable + step_price
+        choice = np.argmin(by_step, axis=1)
+        stepped = by_step[rows, choice]
         start = int(np.argmin(best))
         jumped = best[start] + np.float32(steps.jump_price)
         best = cost[:, column] + np.minimum(stepped, jumped)

@@ -131,7 +131,7 @@ def read_photo(
 
 
 def _upright(image: Image.Image) -> Image.Image:
-    """Return an image turned as its EXIF notes; not a copy, unless it is turned."""
+    """Return an image turned as its EXIF notes; itself, if not turned."""
     is_turned = image.getexif().get(Base.Orientation, 1) != 1
     return ImageOps.exif_transpose(image) if is_turned else image
 
@@ -162,7 +162,7 @@ def read_noted_place(path: Picture) -> NotedPlace:
 def read_noted_time(path: Picture) -> datetime | None:
     """Return the time in a photo's EXIF, by the camera's clock.
 
-    None where it notes none, as a trace. Raises as `read_photo`.
+    None for a trace, and where EXIF notes no time. Raises as `read_photo`.
     """
     if is_table(path):
         return None

@@ -12,6 +12,7 @@ from skyline.errors import InputError
 from skyline.photo.noted_place import NOTHING_NOTED, NotedPlace
 
 _SAME_ROWS = 0.02
+"""A crest nearer to the skyline than this share of all rows is the skyline itself."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +84,7 @@ class PhotoSkyline:
         The whole photo, made smaller. None for a trace and a mask, and in the result of a search,
         since a run may keep thousands.
     is_drawn : bool
-        Whether a person has drawn or corrected it.
+        Whether a person has corrected it; see `skyline.photo.extract.Correction`.
     """
 
     row_px: Float64Array
@@ -144,7 +145,7 @@ class PhotoSkyline:
     def other_crest_px(self) -> Float64Array:
         """Return the row (W,) of the likeliest crest other than the skyline.
 
-        NaN where there is none. A crest nearer than 2 % of the height is the skyline itself.
+        NaN where there is none. A crest within 2 % of the height is the skyline itself.
         """
         if self.crests is None:
             return np.full(self.width_px, np.nan)

@@ -28,10 +28,10 @@ _FORM = "expected a first line '# width=W height=H', then the header 'column_px,
 def write_trace(skyline: PhotoSkyline, path: str | Path) -> None:
     """Write a skyline as CSV, with a row per trusted column.
 
-    Each run of masked columns becomes a break, a row whose
-    ``row_px`` is ``nan``: the points on its two sides are not joined. `read_trace` returns the same
-    rows, bit for bit, the field of view and the projection. Raises `InputError` if the suffix is
-    not .csv, or the file cannot be written.
+    Each run of masked columns becomes a break, a row whose ``row_px`` is ``nan``: the points on its
+    two sides are not joined. `read_trace` returns the same rows, bit for bit, and the same field of
+    view and projection. Raises `InputError` if the suffix is not .csv, or the file cannot be
+    written.
     """
     check_suffix(path, TRACES)
     lines = [f"# width={skyline.width_px} height={skyline.height_px}"]
