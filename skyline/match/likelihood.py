@@ -14,15 +14,15 @@ It is the sum of
      \left(\rho(p_i, p_j) - \rho(p_i, o) - \rho(p_j, o) + 1\right)
 
 Not every column shows terrain. Trees and houses raise the skyline; only errors of the extraction
-lower it. The residual of a column without terrain is uniform over a range, with unequal odds for
+lower it. The residual of a column without terrain is uniform over a range, with unequal shares
 above and below. Where a surface model bounds how far things may rise, a column above the terrain
 lies anywhere up to that bound, blurred by the errors, and columns beyond it are as unlikely as
 those below. Past the edge of the data, terrain that the model lacks may rise above the model's
 skyline, up to another bound; then a column may also lie anywhere between the two.
 
-The odds that a column shows terrain are variational: the bound on the likelihood is exact where K
-is 0. Height errors are represented at a few nodes along the skyline, so that all matrices have the
-size of the number of nodes.
+The probability that a column shows terrain is variational: the bound on the likelihood is exact
+where K is 0. Height errors are represented at a few nodes along the skyline, so that all matrices
+have the size of the number of nodes.
 """
 
 from dataclasses import dataclass, replace
@@ -131,10 +131,10 @@ class Likelihood(Rows):
     fit: Float64Array
     """(M,) float64. The part of the cost that is half the squared residuals over their
     covariance."""
-    odds: Float64Array
+    terrain_probability: Float64Array
     """(M, R) float64. Probability that a column shows terrain; 0 where the terrain is unknown."""
-    trusted_odds: Float64Array
-    """(M, R) float64. `odds` times the trust in the column."""
+    trusted_probability: Float64Array
+    """(M, R) float64. `terrain_probability` times the trust in the column."""
     photo_share: Float64Array
     """(M, R) float64. The photo's share of each column's variance."""
     weight: Float64Array
@@ -162,7 +162,7 @@ class Likelihood(Rows):
         any of them expects. If the expected errors were larger than the residuals, a wider lens,
         whose pixels are larger angles, would seem more likely.
         """
-        count = np.maximum(self.trusted_odds.sum(axis=1), 1e-12)
+        count = np.maximum(self.trusted_probability.sum(axis=1), 1e-12)
         common = np.sqrt(2.0 * self.fit / count)
         common = np.clip(common, _MODEL.least_factor, _MODEL.greatest_factor)
         return replace(
@@ -183,14 +183,14 @@ class Likelihood(Rows):
         explained = (spread_factor @ (self.factor.swapaxes(1, 2) @ weighted))[..., 0]
         spread = (spread_factor * self.factor).sum(axis=-1)
         off = self.weight * ((residual_rad - explained) ** 2 + spread)
-        shown = self.trusted_odds
+        shown = self.trusted_probability
         return np.asarray((shown - self.photo_share * (shown - off)).sum(axis=1))
 
     @property
     def effective_columns(self) -> Float64Array:
         """Number (M,) of independent columns that would hold as much information."""
         taken = self.inner.shape[1] - np.trace(self.inner, axis1=1, axis2=2)
-        return np.asarray(self.odds.sum(axis=1) - taken)
+        return np.asarray(self.terrain_probability.sum(axis=1) - taken)
 
 
 def likelihood(
@@ -199,15 +199,16 @@ def likelihood(
     errors: HeightErrors,
     angle_deg: Float64Array,
     height_m: Float64Array,
-    odds: Float64Array,
+    terrain_probability: Float64Array,
     scale: Float64Array | float = 1.0,
 ) -> Likelihood:
     """Return the likelihood of residuals.
 
-    The odds of each column are improved once. ``residual_rad`` (M, R) is photo minus terrain, NaN
-    where the terrain is unknown; such a column is as likely as one that does not show terrain.
-    ``trust`` (R,) is the trust in the photo's columns, and ``odds`` (M, R) are the initial
-    probabilities that they show terrain. ``angle_deg`` and ``height_m`` (M,) are the standard
+    The probability that each column shows terrain is improved once. ``residual_rad`` (M, R) is
+    photo minus terrain, NaN where the terrain is unknown; such a column is as likely as one that
+    does not show terrain.
+    ``trust`` (R,) is the trust in the photo's columns, and ``terrain_probability`` (M, R) is
+    what that improvement starts from. ``angle_deg`` and ``height_m`` (M,) are the standard
     deviations of the photo's error and of the model's heights. ``scale`` (M,) is the angle of a
     pixel, as a multiple of its angle in the photo's assumed lens: the photo's error is a number of
     pixels, and the likelihood is a density over pixels.
@@ -219,7 +220,9 @@ def likelihood(
     height_m = height_m[:, np.newaxis]
     variance = angle_rad**2 + (height_m * errors.rough) ** 2 + errors.blur_rad**2
     factor = height_m[..., np.newaxis] * errors.factor
-    explained, inner, _ = _explained(residual, trust * odds * known / variance, factor)
+    explained, inner, _ = _explained(
+        residual, trust * terrain_probability * known / variance, factor
+    )
     spread = ((factor @ inner) * factor).sum(axis=-1)
     off = residual - explained
     bare: Float64Array | float = 1.0 - _MODEL.above_share - _MODEL.below_share
@@ -241,16 +244,26 @@ def likelihood(
     log_peak = np.log(bare) - 0.5 * np.log(2.0 * np.pi * variance / scale**2)
     log_terrain = log_peak - 0.5 * (off**2 + spread) / variance
     ratio = np.exp(np.clip(log_terrain - log_other, -50.0, 50.0))
-    odds = known * ratio / (1.0 + ratio)
-    weight = trust * odds / variance
+    terrain_probability = known * ratio / (1.0 + ratio)
+    weight = trust * terrain_probability / variance
     explained, inner, half_log_det = _explained(residual, weight, factor)
-    # The entropy of these odds, and the log densities that they weigh, add up to one logarithm. It
-    # needs a ratio below its upper bound: with the solver's least deviation it is at most e^10.
+    # The entropy of these probabilities, and the log densities that they weigh, add up to one
+    # logarithm. This needs a ratio below its upper bound: with the solver's least deviation the
+    # ratio is at most e^10.
     each = -log_other - known * np.log1p(ratio)
-    each += odds * (log_terrain - log_peak)
+    each += terrain_probability * (log_terrain - log_peak)
     fit = 0.5 * (weight * residual * (residual - explained)).sum(axis=1)
     cost = each @ trust + half_log_det + fit
-    return Likelihood(cost, fit, odds, trust * odds, angle_rad**2 / variance, weight, factor, inner)
+    return Likelihood(
+        cost,
+        fit,
+        terrain_probability,
+        trust * terrain_probability,
+        angle_rad**2 / variance,
+        weight,
+        factor,
+        inner,
+    )
 
 
 def density_without_terrain(residual_rad: Float64Array) -> Float64Array:

@@ -544,7 +544,7 @@ class Prior:
 
 
 def _circle_m(frame: Frame, circle: tuple[float, float, float]) -> tuple[float, float, float]:
-    """Return the easting, northing and radius, metres, of a longitude, latitude and radius, km."""
+    """Return the metres of a circle in degrees and kilometres."""
     lon, lat, radius_km = circle
     east, north = frame.from_lonlat(lon, lat)
     return float(east), float(north), 1000.0 * radius_km

@@ -344,8 +344,8 @@ class Refinement:
         # the temperature.
         covariance = TEMPERATURE * solver.covariance(particles.fit, linear, found)
         trust = solver.rays.weight
-        squares = (found.trusted_odds * np.nan_to_num(linear.residual_rad) ** 2).sum(axis=1)
-        shown = np.maximum(found.trusted_odds.sum(axis=1), 1e-9)
+        squares = (found.trusted_probability * np.nan_to_num(linear.residual_rad) ** 2).sum(axis=1)
+        shown = np.maximum(found.trusted_probability.sum(axis=1), 1e-9)
         nearness = np.average(np.nan_to_num(1.0 / linear.distance_m), weights=trust, axis=1)
         poses = self.poses(particles)
         fits = FitFigures(
@@ -387,9 +387,9 @@ class Refinement:
 
 
 def best_of_several(parts: Sequence[Poses], count: int) -> Poses:
-    """Return the best distinct poses of several refinements of one photo, best first.
+    """Return the best distinct poses of several refinements, best first.
 
-    Their margins are over the poses of all refinements.
+    The refinements are of one photo. Margins are over the poses of all of them.
     """
     if len(parts) == 1:
         return parts[0]

@@ -96,7 +96,10 @@ class Alike(Rows):
         return kept[np.lexsort((kept.row, -kept.score))]
 
     def cut(self, count: int) -> "Alike":
-        """Return the best ``count`` places, in no order: to sort all would take much longer."""
+        """Return the best ``count`` places, in no order.
+
+        To sort all places would take much longer.
+        """
         if not 0 < count < len(self):
             return self if count else self[:0]
         least = np.partition(self.score, -count)[-count]

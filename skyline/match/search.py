@@ -341,7 +341,10 @@ class FullMatcher(SearchMethod):
     def _retrieved_in(
         self, surroundings: Prior, rays: Rays, report: StepProgress = silent
     ) -> Poses | None:
-        """Return the poses retrieved from surroundings; None if they hold no place of the store."""
+        """Return the poses retrieved from surroundings.
+
+        Returns None if no place of the store lies in them.
+        """
         try:
             return self.retriever.shortlist(rays, _NEARBY_SHORTLIST, surroundings, report)
         except InputError:

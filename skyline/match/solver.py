@@ -196,7 +196,7 @@ class Fit(Rows):
     cost: Float64Array
     """(M,) float64. Negative log of the likelihood and the priors, integrated over the attitude;
     infinite for a state that does not fit."""
-    odds: Float64Array
+    terrain_probability: Float64Array
     """(M, R) float64. Probability that a ray shows terrain."""
 
 
@@ -289,8 +289,8 @@ class Solver:
             state[:, WARP:] = poses.distortion[:, np.newaxis]
         angle_index = np.full(count, _WIDEST_ANGLE)
         height_index = np.full(count, _WIDEST_HEIGHT)
-        odds = np.ones((count, len(self.rays.u)))
-        return Fit(state, angle_index, height_index, np.full(count, np.inf), odds)
+        shows_terrain = np.ones((count, len(self.rays.u)))
+        return Fit(state, angle_index, height_index, np.full(count, np.inf), shows_terrain)
 
     def at_height(self, fit: Fit, height_m: Float64Array) -> Fit:
         """Return fits with eyes at heights (M,) above the ground.
@@ -367,7 +367,7 @@ class Solver:
             state=state,
             angle_index=np.full_like(fit.angle_index, min(angle_index, _WIDEST_ANGLE)),
             height_index=np.full_like(fit.height_index, len(HEIGHT_SHARES) // 2),
-            odds=np.ones_like(fit.odds),
+            terrain_probability=np.ones_like(fit.terrain_probability),
         )
 
     def evaluate(self, curves: Curves, fit: Fit) -> tuple[Linearization, Likelihood]:
@@ -462,7 +462,7 @@ class Solver:
             errors,
             ANGLES_DEG[fit.angle_index],
             self.height_sds_m[fit.height_index],
-            fit.odds,
+            fit.terrain_probability,
             np.exp(fit.state[:, LOG_SCALE]),
         ).scaled()
         # Laplace's approximation to the integral over the attitude. Without it errors that are too
@@ -493,7 +493,7 @@ class Solver:
         angle_index = fit.angle_index
         height_index = fit.height_index
         best = self._likelihood(fit, linear, errors)
-        fit = replace(fit, odds=best.odds)
+        fit = replace(fit, terrain_probability=best.terrain_probability)
         for by_angle, by_height in neighbours:
             other = replace(
                 fit,
@@ -507,7 +507,7 @@ class Solver:
             height_index = np.where(better, other.height_index, height_index)
         known = np.isfinite(linear.residual_rad).sum(axis=1) >= _PRIORS.least_columns
         cost = np.where(known, best.cost, np.inf)
-        return Fit(fit.state, angle_index, height_index, cost, best.odds), best
+        return Fit(fit.state, angle_index, height_index, cost, best.terrain_probability), best
 
     def _stepped(
         self, fit: Fit, linear: Linearization, found: Likelihood, step_m: Float64Array

@@ -28,7 +28,7 @@ def test_without_height_errors_the_cost_is_the_mixture_s():
     terrain = 0.83 * np.exp(-0.5 * (residual / sigma) ** 2) / np.sqrt(2.0 * np.pi) / sigma
     other = np.where(residual >= 0.0, 0.15, 0.02) / np.radians(15.0)
     np.testing.assert_allclose(found.cost[0], -np.log(terrain + other).sum(), rtol=1e-9)
-    np.testing.assert_allclose(found.odds, terrain / (terrain + other), atol=1e-9)
+    np.testing.assert_allclose(found.terrain_probability, terrain / (terrain + other), atol=1e-9)
 
 
 def test_height_errors_have_the_stated_covariance_at_their_nodes():
@@ -47,11 +47,11 @@ def test_height_errors_have_the_stated_covariance_at_their_nodes():
 
 
 def _converged(residual, errors, magnified=1.0, scale=1.0):
-    odds, trust = np.ones((1, 40)), np.ones(40)
+    probability, trust = np.ones((1, 40)), np.ones(40)
     deviations = scale * ANGLE_DEG, scale * HEIGHT_M
     for _ in range(12):
-        found = likelihood(residual, trust, errors, *deviations, odds, magnified)
-        odds = found.odds
+        found = likelihood(residual, trust, errors, *deviations, probability, magnified)
+        probability = found.terrain_probability
     return found
 
 
@@ -65,8 +65,8 @@ def test_the_scale_of_all_errors_is_the_likeliest(sd_rad):
         for scale in np.geomspace(0.1, 1.3, 121)
     ]
     found = _converged(residual, errors)
-    assert found.odds.min() > 0.95
-    # The odds are of the errors before they are scaled; the cost is a bound for any odds.
+    assert found.terrain_probability.min() > 0.95
+    # They are of the errors before these are scaled; the cost is a bound for any probability.
     assert -1e-3 < found.scaled().cost[0] - min(costs) < 0.2
     assert found.scaled().cost[0] <= found.cost[0]
     held = found.scaled()
@@ -84,8 +84,10 @@ def test_terrain_past_the_edge_explains_what_stands_up_to_its_bound(off_deg, is_
     beyond_rad = np.radians(np.where(np.arange(40) // 10 == 1, 2.0, 0.0))[np.newaxis]
     with_beyond = replace(errors, beyond_rad=beyond_rad)
     without, there = (_converged(residual, some) for some in (errors, with_beyond))
-    assert there.odds[0, 10:20].max() < 0.01
-    np.testing.assert_allclose(there.odds[0, 20:], without.odds[0, 20:], atol=0.02)
+    assert there.terrain_probability[0, 10:20].max() < 0.01
+    np.testing.assert_allclose(
+        there.terrain_probability[0, 20:], without.terrain_probability[0, 20:], atol=0.02
+    )
     # Ten columns at a density of 0.3 in 2 degrees, where 0.15 in 15 was expected otherwise.
     gained = without.cost[0] - there.cost[0]
     if is_cheaper:
@@ -126,4 +128,4 @@ def test_products_are_those_of_the_whole_covariance():
     left, right = np.random.default_rng(3).normal(size=(2, 1, 3, 40))
     expected = left[0] @ np.linalg.solve(covariance, right[0].T)
     np.testing.assert_allclose(found.product(left, right)[0], expected, rtol=1e-6)
-    assert found.effective_columns[0] < found.odds.sum() - 2.0
+    assert found.effective_columns[0] < found.terrain_probability.sum() - 2.0
