@@ -233,7 +233,7 @@ def likelihood(
         shown = 1.0 - 2.0 * _MODEL.below_share
         covered, density = _raised(off, errors.rise_rad, np.sqrt(variance + spread), shown)
         bare = np.where(limited, shown - covered, bare)
-        density = scale * (density + _MODEL.below_share / _MODEL.range_rad)
+        density = scale * density + _DENSITY_BELOW
         log_other = np.where(limited, np.log(density), log_other)
     if open_.any():
         sd_rad = np.sqrt(variance + spread)

@@ -129,3 +129,13 @@ def test_products_are_those_of_the_whole_covariance():
     expected = left[0] @ np.linalg.solve(covariance, right[0].T)
     np.testing.assert_allclose(found.product(left, right)[0], expected, rtol=1e-6)
     assert found.effective_columns[0] < found.terrain_probability.sum() - 2.0
+
+
+@pytest.mark.parametrize("scale", [0.5, 2.0])
+def test_a_column_far_below_the_skyline_is_as_unlikely_under_a_surface_in_any_lens(scale):
+    """Its density is 0.02 in 15 degrees, whether or not a surface bounds what may rise above."""
+    bare, _, _ = _setting()
+    errors = replace(bare, rise_rad=np.full((1, 40), np.radians(1.0)))
+    residual = np.full((1, 40), np.radians(-5.0))
+    found = likelihood(residual, np.ones(40), errors, ANGLE_DEG, HEIGHT_M, np.zeros((1, 40)), scale)
+    assert found.cost[0] == pytest.approx(-40.0 * np.log(0.02 / np.radians(15.0)), rel=1e-6)
