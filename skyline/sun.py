@@ -18,7 +18,7 @@ from pyproj import CRS
 
 from skyline.arrays import Float64Array, FloatArray
 from skyline.errors import InputError, library
-from skyline.geodesy.crs import half_axes_m, is_of_earth
+from skyline.geodesy.crs import is_of_earth, other_world_in_words
 
 _FIRST_YEAR = 1583
 """PyEphem counts days of earlier years in the Julian calendar."""
@@ -46,8 +46,8 @@ def check_is_earth(crs: CRS) -> None:
     """Raise `InputError` for a DEM of another world than the Earth."""
     if not is_of_earth(crs):
         raise InputError(
-            f"the DEM is of another world, of {half_axes_m(crs)[0] / 1e3:.0f} km radius, and sun "
-            "and moon are computed for the Earth; give a DEM of the Earth"
+            f"the DEM is of {other_world_in_words(crs)}, and sun and moon are computed for the "
+            "Earth; give a DEM of the Earth"
         )
 
 

@@ -42,6 +42,11 @@ def half_axes_m(crs: CRS) -> tuple[float, float]:
     return float(ellipsoid.semi_major_metre), float(ellipsoid.semi_minor_metre)
 
 
+def other_world_in_words(crs: CRS) -> str:
+    """Return how a message names a world that is not the Earth."""
+    return f"another world, of {half_axes_m(crs)[0] / 1e3:.0f} km radius"
+
+
 def is_of_earth(crs: CRS) -> bool:
     """Return whether a CRS is of the Earth, or names no ellipsoid.
 

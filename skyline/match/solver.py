@@ -289,8 +289,8 @@ class Solver:
             state[:, WARP:] = poses.distortion[:, np.newaxis]
         angle_index = np.full(count, _WIDEST_ANGLE)
         height_index = np.full(count, _WIDEST_HEIGHT)
-        shows_terrain = np.ones((count, len(self.rays.u)))
-        return Fit(state, angle_index, height_index, np.full(count, np.inf), shows_terrain)
+        terrain_probability = np.ones((count, len(self.rays.u)))
+        return Fit(state, angle_index, height_index, np.full(count, np.inf), terrain_probability)
 
     def at_height(self, fit: Fit, height_m: Float64Array) -> Fit:
         """Return fits with eyes at heights (M,) above the ground.

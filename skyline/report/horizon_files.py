@@ -13,7 +13,7 @@ from skyline.arrays import Float64Array, IntArray
 from skyline.errors import InputError, suffix_of
 from skyline.files import write_whole
 from skyline.geodesy.bounds import in_turn
-from skyline.geodesy.crs import half_axes_m, is_of_earth
+from skyline.geodesy.crs import is_of_earth, other_world_in_words
 from skyline.horizons import LocalHorizons
 from skyline.tables import csv_lines
 
@@ -101,8 +101,8 @@ def _check_one(horizons: LocalHorizons, kind: str) -> None:
     """Raise `InputError` unless there is one horizon of the Earth, known everywhere."""
     if not is_of_earth(horizons.crs):
         raise InputError(
-            f"{kind} is read by programs for the Earth, and the DEM is of another world, of "
-            f"{half_axes_m(horizons.crs)[0] / 1e3:.0f} km radius; write .csv or .json"
+            f"{kind} is read by programs for the Earth, and the DEM is of "
+            f"{other_world_in_words(horizons.crs)}; write .csv or .json"
         )
     if len(horizons) != 1:
         raise InputError(

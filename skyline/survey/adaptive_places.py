@@ -241,7 +241,7 @@ class _Seen:
         return position[:, 0], position[:, 1]
 
     def fill(self, nodes: Int64Array) -> None:
-        """Render those of the nodes (N, 2) that were not tried yet."""
+        """Render the nodes (N, 2) that have not been tried yet."""
         nodes = nodes[self._row[_index(nodes)] == _UNTRIED]
         eyes, stands = stand_where_possible(self._terrain, *self.position_m(nodes))
         self._row[_index(nodes)] = _BARE

@@ -41,7 +41,8 @@ def _picture(results: Results) -> list[str]:
 def _without_a_hint(results: Results) -> list[str]:
     rows = results.rows("photos_california_tiles", kind=LOCATE)
     found = sum(row.get("rank") == 1 for row in rows)
-    return counts(len(rows), found, *answered_right(rows))
+    answered, right = answered_right(rows)
+    return counts(len(rows), found, answered, answered - right)
 
 
 def _near_slopes(results: Results) -> list[str]:
@@ -177,7 +178,7 @@ SENTENCES: Mapping[str, Sequence[Sentence]] = {
         ),
         Sentence(
             "Of {} real photographs, searched in 455,000 km2 without a hint of the place, {} "
-            "are placed within 200 m; {} are answered, {} of them rightly",
+            "are placed within 200 m; {} are answered, {} of these wrongly",
             _without_a_hint,
         ),
         Sentence(

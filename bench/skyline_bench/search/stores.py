@@ -178,7 +178,7 @@ class BuiltStore:
 
     @property
     def is_plan(self) -> bool:
-        """Whether it was built here from a plan."""
+        """Whether this run built the store from a plan."""
         return self.spec.path is None and self.spec.planner != UNIFORM
 
     def is_held_to(self, other: "BuiltStore") -> bool:
