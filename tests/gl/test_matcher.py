@@ -256,7 +256,7 @@ def test_a_sure_answer_of_the_first_short_list_ends_the_search(terrain, monkeypa
 def test_a_large_area_is_searched_again_around_its_best_answers(
     store, terrain, queries, monkeypatch
 ):
-    """The first refinement renders one pose and does not move it: one ends beyond the next place."""
+    """The first refinement renders one pose and does not move it; places are 40 m apart."""
     hasty = replace(search.WHOLE, shortlist=1, rounds=1, restarts=0, final_rounds=0)
     monkeypatch.setattr(search, "WHOLE", hasty)
     monkeypatch.setattr(search.FullMatcher, "sure_margin", math.inf)
