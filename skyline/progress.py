@@ -13,7 +13,7 @@ match."""
 
 
 class Step(StrEnum):
-    """A step of `locate`, of which the last three are a match's."""
+    """A step of `locate`; from `SCREENING` on, a step of a match."""
 
     FETCHING = "fetching tiles"
     READING = "reading the elevation model"
@@ -21,6 +21,7 @@ class Step(StrEnum):
     SCREENING = "screening"
     FITTING = "fitting"
     REFINING = "refining"
+    SURROUNDINGS = "searching around the best"
 
 
 def silent(step: str, share: float) -> None:

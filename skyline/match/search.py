@@ -23,7 +23,7 @@ from skyline.match.retrieval import Retriever
 from skyline.match.shard import LocalShard, Shard
 from skyline.match.together import JointRefinement
 from skyline.pose import ROUGHLY_WITHIN_M, Pose, Poses
-from skyline.progress import StepProgress, silent
+from skyline.progress import Step, StepProgress, silent
 from skyline.render.horizon import RenderedScene
 from skyline.store.layout import PLACES
 from skyline.store.read import Store
@@ -188,17 +188,23 @@ class FullMatcher(SearchMethod):
         """
         answers = poses[poses.suppress_non_maxima(_SURROUNDINGS, 1000.0 * _SURROUNDINGS_KM)]
         parts = [poses]
-        for one in answers.on_map(*(area.frame for area in self._areas)):
+        for number, one in enumerate(answers.on_map(*(area.frame for area in self._areas))):
+            report(Step.SURROUNDINGS, number / len(answers))
             around = prior.around(
                 self._areas[0].frame, lon=one.lon, lat=one.lat, radius_km=_SURROUNDINGS_KM
             )
             near = self._retrieved_in(around, rays)
             if near is not None:
-                parts.append(self._refined(QUICK, rays, prior, near, report))
+                parts.append(self._refined(QUICK, rays, prior, near))
         return best_of_several(parts, WHOLE.finalists)
 
     def _refined(
-        self, effort: Effort, rays: Rays, prior: Prior, poses: Poses, report: StepProgress
+        self,
+        effort: Effort,
+        rays: Rays,
+        prior: Prior,
+        poses: Poses,
+        report: StepProgress = silent,
     ) -> Poses:
         """Return distinct poses that fit, best first; see `Refinement.run`.
 

@@ -39,7 +39,8 @@ _IN_MEMORY = 4
 _STEPS: Mapping[str, tuple[float, float]] = {
     Step.SCREENING: (0.0, 0.25),
     Step.FITTING: (0.25, 0.5),
-    Step.REFINING: (0.5, 1.0),
+    Step.REFINING: (0.5, 0.9),
+    Step.SURROUNDINGS: (0.9, 1.0),
 }
 """Beginning and end of each step of a match, as shares of the whole."""
 _MAKING: Mapping[str, tuple[float, float]] = {

@@ -21,6 +21,7 @@ from skyline.match.solver import TEMPERATURE
 from skyline.photo.noted_place import NotedPlace
 from skyline.photo.read import read_skyline
 from skyline.photo.skyline import Lens, PhotoSkyline
+from skyline.progress import Step
 from skyline.render.horizon import RenderConfig, RenderedScene
 from skyline_bench.queries.synthetic import QueryConfig, make_queries, make_queries_together
 
@@ -269,6 +270,20 @@ def test_a_large_area_is_searched_again_around_its_best_answers(
 
     assert max(errors_m(math.inf)) > PLACES_M
     assert max(errors_m(0)) < 0.5 * PLACES_M
+
+
+def test_the_search_around_the_best_answers_is_the_last_step_and_told_by_answer(
+    store, terrain, queries, monkeypatch
+):
+    monkeypatch.setattr(search.FullMatcher, "sure_margin", math.inf)
+    monkeypatch.setattr(search.FullMatcher, "large_area", 0)
+    monkeypatch.setattr(search, "_SURROUNDINGS_KM", 0.05)
+    told = []
+    with Matcher(store, terrain, config=BOLD) as matcher:
+        matcher.match(queries[0].skyline, report_progress=lambda *step: told.append(step))
+    shares = [share for step, share in told if step == Step.SURROUNDINGS]
+    assert shares == pytest.approx([0.0, 1 / 3, 2 / 3])
+    assert [step for step, _ in told[-3:]] == [Step.SURROUNDINGS] * 3
 
 
 def test_the_number_of_candidates_changes_none_of_them(store, terrain, queries):

@@ -5,7 +5,7 @@ import { known, standing } from "./known.js";
 import { leave, toCandidate } from "./hand.js";
 import { choose as choosePhoto } from "./photos.js";
 
-const STEPS = { waiting: "waiting for another search", screening: "comparing all places", fitting: "fitting the best", refining: "rendering around the best", done: "done",
+const STEPS = { waiting: "waiting for another search", screening: "comparing all places", fitting: "fitting the best", refining: "rendering the best", "searching around the best": "searching around the best", done: "done",
   "fetching tiles": "fetching elevation", "building the store": "rendering the area's skylines" };
 
 const CANCELLED = "cancelled";
