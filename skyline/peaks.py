@@ -203,7 +203,9 @@ def _read(path: str | Path) -> tuple[tuple[str, ...], Float64Array, bool]:
 
 
 def _row(row: Row, first: str, second: str) -> _Point:
-    height = row.with_point("height_m") or None
+    # A height that may be two stays as it is, and is no height.
+    readings = row.readings("height_m")
+    height = (readings[0] if len(readings) == 1 else row["height_m"]) or None
     return " ".join(row["name"].split()), row.number(first), row.number(second), height
 
 
