@@ -36,6 +36,9 @@ SUMMIT_RADIUS_M = 150.0
 it."""
 UNDERFOOT_SAMPLES = 0.35
 """Ground nearer than this many samples hides nothing: the model is too coarse there."""
+_OTHER_HEIGHT_M = 200.0
+"""A gazetteer's height that differs by more from the terrain's at the summit is not its height in
+metres: vertical datums differ by up to 100 m, and coarse models cut off as much."""
 _FOOT_M = 0.3048
 _INCH_M = 0.0254
 _METRES = {
@@ -320,9 +323,11 @@ def aimed_at(
 ) -> list[Sighting | None]:
     """Return where one eye would see each peak if nothing hid it.
 
-    None stands for a peak off the terrain.
+    None stands for a peak off the terrain. A height that contradicts the terrain, such as one in
+    feet, is left out, and one warning counts these heights.
     """
     aimed: list[Sighting | None] = []
+    other: list[tuple[str, float, float]] = []
     for index, name in enumerate(peaks.names):
         summit = summit_near(terrain, peaks.easting_m[index], peaks.northing_m[index])
         if summit is None:
@@ -333,6 +338,10 @@ def aimed_at(
         north_m = northing_m - float(eye.northing_m[0])
         distance_m = math.hypot(east_m, north_m)
         up_m = surface_m - float(eye.eye_elevation_m[0]) - float(curvature.drop_m(distance_m))
+        height_m = float(peaks.height_m[index])
+        if abs(height_m - surface_m) > _OTHER_HEIGHT_M:
+            other.append((name, height_m, surface_m))
+            height_m = math.nan
         aimed.append(
             Sighting(
                 name=name,
@@ -343,8 +352,15 @@ def aimed_at(
                 # Of a summit just under the eye no direction is asked.
                 elevation_tan=up_m / max(distance_m, 1.0),
                 distance_m=distance_m,
-                height_m=float(peaks.height_m[index]),
+                height_m=height_m,
             )
+        )
+    if other:
+        _log.warning(
+            "%d of %d peaks have heights that differ by more than %g m from the terrain (the first "
+            "is %s, %.0f m high, on ground of %.0f m), so they are shown without one; expected "
+            "metres, or a unit, such as 14505 ft",
+            *(len(other), len(peaks), _OTHER_HEIGHT_M, *other[0]),
         )
     return aimed
 
