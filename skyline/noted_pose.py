@@ -29,7 +29,7 @@ if it were ignored, the camera would be level, or held by a person who stands on
 _UNKNOWNS = (WARP, WARP + 1, WARP + len(WANDER_DEGREES))
 """Numbers of rows that `skyline.pose.Pose.covariance` may have: without a distortion, with it, and
 with a panorama's wander."""
-_MOST = {"pitch_deg": 90.0, "roll_deg": 180.0, "distortion": MOST_DISTORTION}
+_MOST = {"heading_deg": 360.0, "pitch_deg": 90.0, "roll_deg": 180.0, "distortion": MOST_DISTORTION}
 """Greatest absolute values that a camera has."""
 EXPECTED_RECORD = (
     "expected JSON as `skyline match --json` or `skyline orient --json` prints it, or a record "
