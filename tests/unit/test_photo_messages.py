@@ -275,8 +275,9 @@ class TestPoses:
             (LEAST | {"pitch_deg": 91}, "pitch_deg is 91; expected -90 to 90"),
             (LEAST | {"roll_deg": -181}, "roll_deg is -181; expected -180 to 180"),
             (LEAST | {"eye_height_m": 2, "eye_elevation_m": 9}, "both eye_elevation_m and eye_he"),
-            (LEAST | {"pitch": 4}, "has pitch, which is not read; name it pitch_deg"),
-            (LEAST | {"elevation_m": 2400}, "elevation_m, which is not read; name it eye_elevat"),
+            (LEAST | {"pitch": 4}, "has pitch, which is not read; give it as pitch_deg"),
+            (LEAST | {"elevation_m": 24}, "elevation_m, which is not read; give it as eye_elevati"),
+            (LEAST | {"altitude_ft": 7874}, "has altitude_ft, which is not read; give it as eye_e"),
         ],
     )
     def test_that_are_none(self, record, said):
