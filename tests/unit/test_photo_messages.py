@@ -20,6 +20,7 @@ from skyline.match.prior import Narrowing
 from skyline.photo.extract import extract_skyline
 from skyline.photo.image import SizeLimits, opened_image, photos_in, shrink_if_large
 from skyline.photo.overlay import write_overlay
+from skyline.photo.photo import read_photo
 from skyline.photo.read import named_skyline, read_skyline
 from skyline.photo.skyline import PhotoSkyline
 from skyline.photo.trace import write_trace
@@ -140,6 +141,16 @@ class TestFiles:
         Image.new("1", (20_000, 10_000)).save(tmp_path / "huge.png")
         said = r"huge\.png.* megapixels; expected at most 100"
         assert_says(said, lambda: read_skyline(tmp_path / "huge.png"))
+
+    def test_of_several_pages(self, tmp_path):
+        """As a scanner writes an album; smaller copies are no pages of their own."""
+        pages = [Image.fromarray(np.full((60, 90), value, np.uint8)) for value in (90, 120)]
+        path = tmp_path / "album.tif"
+        pages[0].save(path, save_all=True, append_images=pages[1:])
+        said = r"album\.tif has 2 pages or layers; expected one photo: flatten it"
+        assert_says(said, lambda: read_photo(path))
+        pages[0].save(path, save_all=True, append_images=[pages[1].resize((45, 30))])
+        assert read_photo(path).rgb[0, 0].tolist() == [90, 90, 90]
 
     def test_that_are_open_and_cut_short(self):
         whole = io.BytesIO()
