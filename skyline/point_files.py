@@ -18,6 +18,7 @@ from skyline.errors import InputError, check_suffix, printable
 from skyline.files import write_whole
 from skyline.geodesy.bounds import are_degrees
 from skyline.tables import Table, csv_lines, read_table
+from skyline.vectors import not_upright
 
 POINT_FILES = (".csv", ".points")
 """Suffixes of files of control points."""
@@ -50,12 +51,21 @@ class ControlPoints:
     """(N,) float64."""
     elevation_m: Float64Array
     """(N,) float64. Above the DEM's datum; NaN for a point on the ground of the DEM."""
+    as_stored: bool = False
+    """Whether they were marked in the photo as QGIS shows it."""
 
     def __len__(self) -> int:
         return len(self.names)
 
-    def check_photo(self, photo: Path, width_px: int, height_px: int) -> None:
-        """Raise `InputError` for points outside a photo."""
+    def check_photo(
+        self, photo: Path, width_px: int, height_px: int, is_turned: bool = False
+    ) -> None:
+        """Raise `InputError` for points outside a photo, or in one that QGIS shows otherwise.
+
+        ``is_turned`` is as in `skyline.photo.photo.Photo`.
+        """
+        if self.as_stored and is_turned:
+            raise not_upright(self.path, photo)
         off = ~in_picture(self.column_px, self.row_px, width_px, height_px)
         if off.any():
             first = int(off.argmax())
@@ -127,11 +137,17 @@ def _of_qgis(path: Path, table: Table, named: Sequence[str]) -> ControlPoints:
         lon=x,
         lat=y,
         elevation_m=np.full(len(rows), np.nan),
+        as_stored=True,
     )
 
 
 _WRITTEN = ("across_px", "down_px", "residual_px", "used")
 """Further columns of points with residuals."""
+
+
+def is_of_qgis(path: Path) -> bool:
+    """Return whether a file of points is written for QGIS."""
+    return path.suffix.lower() == ".points"
 
 
 def write_control_points(
@@ -145,7 +161,7 @@ def write_control_points(
     """
     check_suffix(path, POINT_FILES)
     size_px = np.round(np.linalg.norm(residual_px, axis=1), 3)
-    if path.suffix.lower() == ".points":
+    if is_of_qgis(path):
         columns: dict[str, Sequence[object]] = {
             "mapX": [f"{lon:.8f}" for lon in points.lon],
             "mapY": [f"{lat:.8f}" for lat in points.lat],

@@ -83,13 +83,19 @@ class Vectors:
     """Width and height of their photo, if the file says so."""
     photo: str = ""
     """Name of their photo, if the file says so."""
+    as_stored: bool = False
+    """Whether they were drawn in the photo as QGIS shows it."""
 
-    def check_photo(self, photo: Path, width_px: int, height_px: int) -> None:
+    def check_photo(
+        self, photo: Path, width_px: int, height_px: int, is_turned: bool = False
+    ) -> None:
         """Raise `InputError` if the vectors' photo has another name or size.
 
         So does a drawing of several vertices within a pixel: such coordinates are shares of the
-        width and height.
+        width and height. ``is_turned`` is as in `skyline.photo.photo.Photo`.
         """
+        if self.as_stored and is_turned:
+            raise not_upright(self.path, photo)
         if self.photo and not is_name_of(self.photo, photo):
             raise InputError(
                 f"{self.path} is drawn in {printable(self.photo)}, not in {photo}; give the photo "
@@ -118,6 +124,17 @@ class Vectors:
                     f"outside {photo}, which has {width_px} x {height_px} px; give the photo in "
                     "which it was drawn"
                 )
+
+
+def not_upright(path: Path, photo: Path) -> InputError:
+    """Return the error for pixels from QGIS in a photo that EXIF turns.
+
+    QGIS shows a photo as its file stores it, since GDAL's APPLY_ORIENTATION is off by default.
+    """
+    return InputError(
+        f"{path} is of QGIS, which shows {photo} as its file stores it, and EXIF turns that photo; "
+        "save the photo upright (ImageMagick's mogrify -auto-orient), and mark it again"
+    )
 
 
 def read_vectors(path: Path, photo: Path, in_pixels: bool = False) -> Vectors:
@@ -200,6 +217,7 @@ def _of_geojson(path: Path, read: Mapping[str, Any], in_pixels: bool) -> Vectors
     about = read.get(PHOTO_MEMBER)
     size_px = None
     name = ""
+    as_stored = False
     if isinstance(about, Mapping):
         size_px, in_pixels = (int(about["width_px"]), int(about["height_px"])), True
         name = str(about.get("name") or "")
@@ -210,11 +228,12 @@ def _of_geojson(path: Path, read: Mapping[str, Any], in_pixels: bool) -> Vectors
     ]
     if in_pixels:
         rows = np.concatenate([one.vertices[:, 1] for one in shapes]) if shapes else np.zeros(1)
-        if rows.max() <= 0.0 and rows.min() < 0.0:
+        as_stored = bool(rows.max() <= 0.0 and rows.min() < 0.0)
+        if as_stored:
             shapes = [_moved(one, lambda xy: xy * (1.0, -1.0) - _CORNER) for one in shapes]
     else:
         shapes = _in_degrees(path, shapes, read.get("crs"))
-    return Vectors(path, tuple(shapes), in_pixels, size_px, name)
+    return Vectors(path, tuple(shapes), in_pixels, size_px, name, as_stored)
 
 
 def _geometries(read: Mapping[str, Any]) -> Iterator[tuple[Any, Mapping[str, Any]]]:

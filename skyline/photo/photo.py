@@ -49,6 +49,8 @@ class Photo(ShortRepr):
         Accuracy of the field of view, if the file notes it.
     name : str
         The file, for messages.
+    is_turned : bool
+        Whether EXIF turns or mirrors the pixels of the file, which GDAL and QGIS do not.
     """
 
     rgb: UInt8Array
@@ -57,6 +59,7 @@ class Photo(ShortRepr):
     noted: NotedPlace = NOTHING_NOTED
     lens: Lens | None = None
     name: str = "the image"
+    is_turned: bool = False
 
     @property
     def blank(self) -> PhotoSkyline:
@@ -105,7 +108,8 @@ def read_photo(
     with opened_image(path) as image:
         full_px = image.size
         shrink_if_large(name, image)
-        upright = _upright(image)
+        is_turned = _is_turned(image)
+        upright = ImageOps.exif_transpose(image) if is_turned else image
         width, height = _upright_size(full_px, upright)
         exif = image.getexif()
         xmp = xmp_of(image)
@@ -127,13 +131,13 @@ def read_photo(
         noted,
         known,
         name,
+        is_turned,
     )
 
 
-def _upright(image: Image.Image) -> Image.Image:
-    """Return an image turned as its EXIF notes; itself, if not turned."""
-    is_turned = image.getexif().get(Base.Orientation, 1) != 1
-    return ImageOps.exif_transpose(image) if is_turned else image
+def _is_turned(image: Image.Image) -> bool:
+    """Return whether EXIF turns or mirrors an image."""
+    return image.getexif().get(Base.Orientation, 1) != 1
 
 
 def _upright_size(full_px: tuple[int, int], upright: Image.Image) -> tuple[int, int]:

@@ -68,7 +68,7 @@ def draw_vectors(task: DrawTask, listener: Listener) -> list[str]:
     vectors = read_vectors(task.vectors, task.photo, task.in_pixels)
     _check_kind(task, vectors, suffix)
     if vectors.in_pixels:
-        vectors.check_photo(task.photo, photo.width_px, photo.height_px)
+        vectors.check_photo(task.photo, photo.width_px, photo.height_px, picture.is_turned)
     terrain = read_terrain(listener, names, task.crs)
     with Viewer(terrain) as viewer:
         pose = shown_pose(noted, viewer, listener)

@@ -10,7 +10,12 @@ from skyline.errors import InputError, check_suffix
 from skyline.files import check_outputs
 from skyline.photo.photo import read_photo
 from skyline.photo.skyline import PhotoSkyline
-from skyline.point_files import POINT_FILES, read_control_points, write_control_points
+from skyline.point_files import (
+    POINT_FILES,
+    is_of_qgis,
+    read_control_points,
+    write_control_points,
+)
 from skyline.pose_file import read_posed
 from skyline.tasks.listener import Listener
 from skyline.tasks.orient import CameraAt
@@ -63,7 +68,12 @@ def orient_by_points(task: PointsTask, listener: Listener) -> PointsFit:
     else:
         picture, noted = read_posed(task.photo, task.pose, task.projection)
     photo = picture.blank
-    points.check_photo(task.photo, photo.width_px, photo.height_px)
+    if task.residuals is not None and picture.is_turned and is_of_qgis(task.residuals):
+        raise InputError(
+            f"{task.residuals} is for QGIS, which shows {task.photo} as its file has it, and EXIF "
+            "turns that photo; name a .csv file"
+        )
+    points.check_photo(task.photo, photo.width_px, photo.height_px, picture.is_turned)
     if noted is None:
         task.at.position_of(photo, str(task.photo))  # Refused before the DEM is read
     elif noted.covariance is None:

@@ -5,12 +5,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
+from PIL.ExifTags import Base
 from scenes import candidate_at, field_of, fractal
 
 from skyline.camera import Projection
 from skyline.control_points import KnownCamera, PointErrors, fit_points
 from skyline.errors import InputError, MissingFileError, OffMapError
 from skyline.geodesy.bounds import in_turn
+from skyline.photo.photo import read_photo
 from skyline.photo.skyline import PhotoSkyline
 from skyline.point_files import ControlPoints, read_control_points, write_control_points
 from skyline.view import Viewer
@@ -203,6 +206,24 @@ mapX,mapY,{pixel}X,{pixel}Y,enable,dX,dY,residual
     assert len(found) == 1
     assert (found.column_px[0], found.row_px[0]) == (10.0, 20.0)
     np.testing.assert_allclose((found.lon[0], found.lat[0]), (9.0, 46.0), atol=0.01)
+
+
+def test_points_of_qgis_in_a_photo_that_exif_turns_are_refused(read, tmp_path):
+    """QGIS shows the lying pixels of a photo that was taken upright."""
+    Image.new("RGB", (60, 40)).save(tmp_path / "lying.jpg", exif=orientation(6))
+    Image.new("RGB", (40, 60)).save(tmp_path / "upright.jpg", exif=orientation(1))
+    found = read("p.points", "#CRS: EPSG:4326\nmapX,mapY,sourceX,sourceY\n9,46,10.5,-20.5\n")
+    turned, upright = (read_photo(tmp_path / name) for name in ("lying.jpg", "upright.jpg"))
+    assert turned.rgb.shape == upright.rgb.shape == (60, 40, 3)
+    found.check_photo(Path("upright.jpg"), 40, 60, upright.is_turned)
+    with pytest.raises(InputError, match=r"shows lying.jpg as its file stores it, and EXIF turns"):
+        found.check_photo(Path("lying.jpg"), 40, 60, turned.is_turned)
+
+
+def orientation(number):
+    exif = Image.Exif()
+    exif[Base.Orientation] = number
+    return exif
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".points"])
