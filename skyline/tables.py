@@ -182,7 +182,9 @@ def read_table(
     # Names of files are bytes, which need not be UTF-8.
     text = content.decode("utf-8-sig", errors="surrogateescape")
     lines = list(io.StringIO(text, newline=""))
-    before = next((k for k, line in enumerate(lines) if not line.startswith("#")), len(lines))
+    # A spreadsheet may put quotes around the first cell.
+    is_note = [line.startswith(("#", '"#')) for line in lines]
+    before = next((k for k, one in enumerate(is_note) if not one), len(lines))
     heading = next((line for line in lines[before:] if line.strip()), "")
     separator = max(",;\t", key=heading.count)
     reader = csv.reader(lines[before:], delimiter=separator, skipinitialspace=True)
@@ -217,7 +219,12 @@ def read_table(
             (name, cell) for _, cells in found for name, cell in cells.items() if name not in _TEXTS
         )
     rows = [Row(where, cells, marks, separator != ",") for where, cells in found]
-    return Table(path, header, rows, lines[:before])
+    return Table(path, header, rows, list(map(_unquoted, lines[:before])))
+
+
+def _unquoted(line: str) -> str:
+    """Return a line of notes without the quotes of a spreadsheet."""
+    return next(csv.reader([line]))[0] if line.startswith('"') else line
 
 
 def _marks_in(cells: Iterable[tuple[str, str]]) -> str:

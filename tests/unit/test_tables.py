@@ -14,6 +14,7 @@ from scenes import field_of
 
 from skyline.errors import InputError
 from skyline.files import write_whole
+from skyline.photo.trace import read_trace
 from skyline.tables import csv_lines, is_table, read_table
 from skyline.terrain.viewpoints import read_viewpoints
 
@@ -82,6 +83,13 @@ def test_a_number_that_may_be_thousands_or_decimals_is_refused(tmp_path, row):
     (row,) = read_table(path, "").rows
     with pytest.raises(InputError, match=r"which may be 1.234 or 1234; write it without"):
         row.number("row_px", 0.0, 2000.0)
+
+
+@pytest.mark.parametrize("note", ['"# width=640 height=480"', '"# width=640 height=480",,'])
+def test_notes_that_a_spreadsheet_has_quoted_are_read(tmp_path, note):
+    path = tmp_path / "a.csv"
+    path.write_text(f"{note}\ncolumn_px,row_px\n0,12\n60,12\n")
+    assert repr(read_trace(path)).startswith("PhotoSkyline(640 x 480 px")
 
 
 def test_standard_input_is_read_and_its_kind_is_seen(monkeypatch):
