@@ -122,6 +122,12 @@ def _above_ground_m(model: HeightField, terrain: HeightField, rules: SurfaceRule
         return np.where(known, model.heights_m, np.nan)
     _check_datum(model, terrain, median_m, rules)
     lowest_m = float(np.quantile(above_m[known], rules.open_share))
+    if lowest_m > rules.unknown_m:
+        raise InputError(
+            f"{_name_of(model)} lies at least {lowest_m:.0f} m above the DEM in "
+            f"{100.0 * (1.0 - rules.open_share):.0f} % of the area, and no forest is so tall; give "
+            "a surface model of the DEM's vertical datum, or a canopy model in metres above ground"
+        )
     if lowest_m > -rules.lowest_median_m:
         _log.warning(
             "%s lies at least %.0f m above the DEM in %.0f %% of the area; unless that is forest, "

@@ -88,8 +88,10 @@ def test_a_surface_of_another_area_or_datum_is_refused(bare, forest):
 def test_a_surface_that_stands_over_open_ground_or_has_holes_is_warned_of(bare, forest, caplog):
     read_surface(forest, bare)
     assert caplog.text == ""
-    read_surface(field_of(forest.heights_m + 48.0), bare)
-    assert "at least 48 m above the DEM in 90 % of the area" in caplog.text
+    read_surface(field_of(forest.heights_m + 25.0), bare)
+    assert "at least 25 m above the DEM in 90 % of the area" in caplog.text
+    with pytest.raises(InputError, match="at least 48 m above the DEM in 90 % of the area, and no"):
+        read_surface(field_of(forest.heights_m + 48.0), bare)
     read_surface(field_of(np.where(forest.heights_m > bare.heights_m, TREES_M, np.nan)), bare)
     assert "where trees of 40 m are assumed" in caplog.text
 
