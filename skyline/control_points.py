@@ -47,6 +47,11 @@ class PointErrors:
     """Share of points that are expected to be wrong."""
 
 
+_OFF_GROUND_M = (-200.0, 1000.0)
+"""Least and greatest height of a point above the DEM's ground: beside cliffs models err by 200 m,
+and no building is higher than a kilometre."""
+
+
 @dataclass(frozen=True, slots=True)
 class _Steps:
     """How a fit proceeds."""
@@ -257,6 +262,7 @@ class _Fit:
                 f"{points.path}: point {points.names[off[0]]} is off the DEM or on a hole; give "
                 "its elevation_m, or a DEM that holds it"
             )
+        self._check_elevations(ground_m)
         up_m = np.where(on_ground, ground_m, points.elevation_m)
         self.place_m = np.stack([east_m, north_m, up_m], axis=1)
         level = np.full(len(points), self.errors.place_sd_m)
@@ -269,6 +275,21 @@ class _Fit:
             [pose.easting_m, pose.northing_m, pose.eye_elevation_m,
              *np.radians([pose.grid_heading_deg, pose.pitch_deg, pose.roll_deg]), 0.0, *warp]
         )[: len(self.known.precision)]  # fmt: skip
+
+    def _check_elevations(self, ground_m: Float64Array) -> None:
+        """Raise `InputError` for a point far from the ground under it, as one in feet is."""
+        points = self.points
+        above_m = points.elevation_m - ground_m
+        lowest_m, highest_m = _OFF_GROUND_M
+        off = np.flatnonzero((above_m < lowest_m) | (above_m > highest_m))
+        if len(off):
+            first = off[0]
+            raise InputError(
+                f"{points.path}: point {points.names[first]} has the elevation "
+                f"{points.elevation_m[first]:g} m, and the ground of the DEM lies at "
+                f"{ground_m[first]:.0f} m there; expected metres above its datum: correct it, "
+                "or leave it out"
+            )
 
     @property
     def wrong_cost(self) -> float:

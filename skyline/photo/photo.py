@@ -137,7 +137,7 @@ def read_photo(
 
 def _is_turned(image: Image.Image) -> bool:
     """Return whether EXIF turns or mirrors an image."""
-    return image.getexif().get(Base.Orientation, 1) != 1
+    return image.getexif().get(Base.Orientation) in range(2, 9)
 
 
 def _upright_size(full_px: tuple[int, int], upright: Image.Image) -> tuple[int, int]:

@@ -166,6 +166,14 @@ def test_too_few_points_and_points_off_the_map_are_refused():
         fit_points(VIEWER, photo_of(), off, known_at(), EXACT)
 
 
+@pytest.mark.parametrize("share", [1.0 / 0.3048, 0.001])
+def test_elevations_in_other_units_are_refused(share):
+    points = points_of()
+    other = replace(points, elevation_m=points.elevation_m * share)
+    with pytest.raises(InputError, match=r"point A has the elevation .* expected metres above its"):
+        fit_points(VIEWER, photo_of(), other, known_at(), EXACT)
+
+
 def test_a_pose_that_points_do_not_fit_is_not_trusted():
     points = points_of()
     mixed = replace(
