@@ -113,8 +113,8 @@ class Row:
         if possible:
             few, many = sorted(values, key=abs)
             raise InputError(
-                f"{found}, which may be {few:g} or {many:g}; write it without a separator between "
-                "thousands"
+                f"{found}, which may be {few:g} or {many:g}; write one more decimal, or no "
+                "separator between thousands"
             )
         above = f" from {low:g}" if low > -math.inf else ""
         below = f" to {high:g}" if high < math.inf else ""

@@ -81,7 +81,7 @@ def test_a_number_that_may_be_thousands_or_decimals_is_refused(tmp_path, row):
     path = tmp_path / "a.csv"
     path.write_text(f"row_px;lon;elevation_m\n{row}\n")
     (row,) = read_table(path, "").rows
-    with pytest.raises(InputError, match=r"which may be 1.234 or 1234; write it without"):
+    with pytest.raises(InputError, match=r"which may be 1.234 or 1234; write one more"):
         row.number("row_px", 0.0, 2000.0)
 
 
