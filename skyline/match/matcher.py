@@ -24,7 +24,7 @@ from skyline.match.config import MatchConfig
 from skyline.match.contours import weighed_by_contours
 from skyline.match.joint_result import JointResult
 from skyline.match.method import MATCHERS, SearchMethod
-from skyline.match.posterior import Findings, MapGrid, Posterior, posterior_of
+from skyline.match.posterior import Findings, Posterior, grid_around, posterior_of
 from skyline.match.prior import NOTHING_KNOWN, Narrowing, Prior
 from skyline.match.rays import Rays
 from skyline.match.refine import VIEW_WIDTH
@@ -454,7 +454,7 @@ class Matcher(Closeable):
             if progress is not None:
                 progress(done, len(order))
             known.append(self._findings(results[number], silent))
-        grid = MapGrid.around(known)
+        grid = grid_around(known)
         alone = [posterior_of(found, frame, grid) for found in known]
         hours = [(times[b] - times[a]) / timedelta(hours=1) for a, b in pairwise(order)]
         together = joined(alone, [1000.0 * walked_km_h * one for one in hours])

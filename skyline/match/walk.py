@@ -87,7 +87,7 @@ def _messages(
     for own, away_m in zip(posteriors, reach_m, strict=False):
         product = own.probability.astype(np.float64) * message
         most = float(product.max())
-        message = _spread(product / (most or 1.0), away_m / own.cell_m)
+        message = _spread(product / (most or 1.0), away_m / own.grid.cell_m)
         yield message
 
 
