@@ -76,15 +76,20 @@ ASSUMED = AssumedErrors()
 class Bearings(Rows):
     """Directions of N pixels, and their derivatives by pose and pixel."""
 
-    azimuth_rad: Float64Array
+    azimuth_deg: Float64Array
     """(N,) float64. From grid north."""
     elevation_tan: Float64Array
     """(N,) float64."""
     by_pose: Float64Array
-    """(N, 2, P) float64. Derivatives of azimuth and tangent by the unknowns of
+    """(N, 2, P) float64. Derivatives of azimuth, radians, and tangent by the unknowns of
     `skyline.pose.Pose.covariance`; 0 for the eye's position."""
     by_pixel: Float64Array
     """(N, 2, 2) float64. The same by a column to the right and a row down."""
+
+    @property
+    def azimuth_rad(self) -> Float64Array:
+        """(N,) float64. From grid north."""
+        return np.radians(self.azimuth_deg)
 
     @classmethod
     def of(
@@ -95,7 +100,7 @@ class Bearings(Rows):
         changes = np.stack(camera.changes(column_px, row_px), axis=1)
         still = np.zeros((len(changes), 2, HEADING))
         return cls(
-            azimuth_rad=np.radians(azimuth_deg),
+            azimuth_deg=azimuth_deg,
             elevation_tan=tangent,
             by_pose=np.concatenate([still, changes], axis=2)[..., :unknowns],
             by_pixel=camera.spans(column_px, row_px),
