@@ -324,7 +324,7 @@ class _Fit:
         column, row = self.points.column_px, self.points.row_px
         seen = Bearings.of(self.camera(state), column, row, len(state))
         azimuth, tan, away_m = self.toward(state)
-        turn_deg = in_turn(seen.azimuth_deg - np.degrees(azimuth))
+        turn_deg = in_turn(seen.grid_azimuth_deg - np.degrees(azimuth))
         off = np.stack([np.radians(turn_deg), seen.elevation_tan - tan], axis=1)
         sine, cosine = np.sin(azimuth), np.cos(azimuth)
         # The point's own direction, as the eye moves.

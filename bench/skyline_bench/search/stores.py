@@ -209,17 +209,10 @@ def equal_grid(plan: BuiltStore, terrain: HeightField, bounds_deg: Bounds | None
     return StoreSpec(plan.holds, round(spacing_m * math.sqrt(found / plan.places), 1))
 
 
-def middle_deg(
-    terrain: HeightField,
-    size_m: tuple[float, float] = (5_000.0, 10_000.0),
-    bounds_deg: Bounds | None = None,
-) -> Bounds:
-    """Return the middle part of bounds, up to a size.
-
-    By default the bounds are the DEM's.
-    """
-    west, south, east, north = map_bounds(terrain, bounds_deg)
-    left, low, right, high = middle_of((west, south, east, north), size_m)
+def middle_deg(terrain: HeightField, size_m: tuple[float, float] = (5_000.0, 10_000.0)) -> Bounds:
+    """Return the middle part of a DEM, up to a size: across, along."""
+    west, south, east, north = terrain.bounds_m
+    left, low, right, high = middle_of(terrain.bounds_m, size_m)
     easting, northing = (west + east) / 2.0, (south + north) / 2.0
     lon, _ = terrain.frame.to_lonlat([left, right], [northing, northing])
     _, lat = terrain.frame.to_lonlat([easting, easting], [low, high])
