@@ -9,6 +9,7 @@ from .errors import OffMapError as OffMapError
 from .errors import SkylineError as SkylineError
 from .errors import StoreError as StoreError
 from .errors import StoreMismatchError as StoreMismatchError
+from .geodesy.cell_grid import CellGrid as CellGrid
 from .geodesy.earth import Curvature as Curvature
 from .geodesy.map_frame import Frame as Frame
 from .grids import horizon_grid as horizon_grid
