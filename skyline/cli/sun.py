@@ -18,7 +18,8 @@ from skyline.cli.options import (
 from skyline.cli.terminal import Terminal
 from skyline.errors import InputError
 from skyline.geodesy.earth import Curvature
-from skyline.horizons import LocalHorizons, horizons_of
+from skyline.horizons import horizons_of
+from skyline.local_horizons import LocalHorizons
 from skyline.sun import Body, check_is_earth, day_of
 from skyline.tasks.standing import stand_with_notes, warn_of_border
 from skyline.tasks.terrain import curvature_of, read_terrain

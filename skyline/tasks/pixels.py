@@ -5,12 +5,13 @@ from pathlib import Path
 
 from skyline.errors import suffix_of
 from skyline.files import check_outputs, on_disk
+from skyline.pixel_places import PIXEL_FILES, PixelPlaces
 from skyline.tasks.listener import Listener
 from skyline.tasks.photo_task import PosedTask
 from skyline.tasks.standing import shown_pose
 from skyline.tasks.terrain import read_terrain, refuse_in_dem
 from skyline.terrain.dem_files import dem_names
-from skyline.view import PIXEL_FILES, PixelPlaces, Viewer
+from skyline.view import Viewer
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

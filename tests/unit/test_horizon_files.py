@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from skyline.errors import InputError
-from skyline.horizons import LocalHorizons, with_photo
+from skyline.horizons import with_photo
+from skyline.local_horizons import LocalHorizons
 from skyline.report.horizon_files import write_horizons
 
 
