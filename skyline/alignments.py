@@ -14,9 +14,9 @@ from skyline.arrays import BoolArray, Float64Array
 from skyline.errors import InputError
 from skyline.geodesy.bounds import in_turn
 from skyline.geodesy.earth import Curvature
-from skyline.peaks import SUMMIT_RADIUS_M, summit_near
 from skyline.sun import Body, Sky, minutes_of
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.summits import SUMMIT_RADIUS_M, summit_near
 
 DEFAULT_WITHIN_KM = 5.0
 _ROUNDS = 3
@@ -80,7 +80,7 @@ def standpoints(
     """Return where a body stands over a summit, minute by minute.
 
     The summit is the highest sample near a longitude and latitude. Ground nearer than 150 m to it
-    hides nothing, as for `skyline.peaks`. The day is the 24 hours around noon of the mean sun.
+    hides nothing, as for `skyline.sightings`. The day is the 24 hours around noon of the mean sun.
 
     Raises `InputError` where the summit is off the map, or PyEphem is not installed.
     """

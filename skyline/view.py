@@ -21,20 +21,14 @@ from skyline.geodesy.bounds import in_turn
 from skyline.geodesy.earth import Curvature
 from skyline.ground import GroundView
 from skyline.noted_pose import NotedPose
-from skyline.peaks import (
-    Peaks,
-    Sighting,
-    aimed_at,
-    check_on_map,
-    most_prominent_first,
-    visible_peaks,
-)
+from skyline.peaks import Peaks, check_on_map
 from skyline.photo.skyline import PhotoSkyline
 from skyline.pixel_places import PixelPlaces
 from skyline.pose import Pose
 from skyline.progress import Progress
 from skyline.render.context import Closeable, RenderThread
 from skyline.render.horizon import RenderConfig, RenderedScene
+from skyline.sightings import Sighting, aimed_at, most_prominent_first, visible_peaks
 from skyline.skylines import HEADINGS, Views
 from skyline.sun import Body, Sky, check_is_earth
 from skyline.terrain.dem import Dem, read_dem

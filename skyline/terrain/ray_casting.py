@@ -48,6 +48,46 @@ def edge_crossings_m(
     return np.where(is_between, away_m, near_m[:, np.newaxis]), is_between
 
 
+def highest_between_deg(
+    terrain: HeightField,
+    eye: Viewpoints,
+    curvature: Curvature,
+    grid_rad: Float64Array,
+    near_m: Float64Array,
+    far_m: Float64Array,
+) -> Float64Array:
+    """Return the highest elevation angle of the terrain on each ray.
+
+    Each of one eye's K rays is followed along its grid azimuth between two distances (K,). The
+    surface is a plane between two edges, so the highest angle is at an edge. It is -90 without
+    data.
+    """
+    away_m, is_between = edge_crossings_m(terrain, eye, grid_rad, near_m, far_m)
+    up_deg = ground_elevation_deg(terrain, eye, curvature, grid_rad, away_m)
+    return np.asarray(np.where(is_between, up_deg, -90.0).max(axis=1))
+
+
+def ground_elevation_deg(
+    terrain: HeightField,
+    eye: Viewpoints,
+    curvature: Curvature,
+    grid_rad: Float64Array,
+    distance_m: Float64Array,
+) -> Float64Array:
+    """Return the ground's elevation angles (K, D) along one eye's rays.
+
+    The rays have grid azimuths (K,); the horizontal distances are (D,) or (K, D). The angle is -90
+    without data.
+    """
+    ground_m = terrain.height_at(
+        easting_m=eye.easting_m[0] + distance_m * np.sin(grid_rad)[:, np.newaxis],
+        northing_m=eye.northing_m[0] + distance_m * np.cos(grid_rad)[:, np.newaxis],
+    )
+    drop_m = eye.eye_elevation_m[0] + curvature.drop_m(distance_m)
+    up_deg = np.degrees(np.arctan((ground_m - drop_m) / distance_m))
+    return np.asarray(np.nan_to_num(up_deg, nan=-90.0))
+
+
 def first_hits_m(
     field: HeightField,
     eye: Viewpoints,
