@@ -11,6 +11,7 @@ from skyline.batch import Entry
 from skyline.camera import Pixel, Projection
 from skyline.cli.options import PEAKS_VARIABLE, panel, parse_bounds
 from skyline.errors import InputError, numbers_in
+from skyline.geodesy.bounds import Circle
 from skyline.match.prior import NOTED_KM, Narrowing
 from skyline.peaks import find_place
 from skyline.report.exports import EXPORTS
@@ -187,7 +188,7 @@ def heading_of(heading: float | None, slack: float | None) -> tuple[float, float
     return heading, slack
 
 
-def parse_near(text: str, gazetteer: Path | None) -> tuple[float, float, float]:
+def parse_near(text: str, gazetteer: Path | None) -> Circle:
     """Return longitude, latitude and radius in km from ``LON,LAT,KM`` or ``NAME[,KM]``.
 
     Raises `InputError` for anything else, and as `find_place` for a name.

@@ -15,7 +15,7 @@ from pyproj import CRS, Geod, Transformer
 
 from skyline.arrays import Complex128Array, Float64Array, by_dimensions, refuse_text
 from skyline.errors import InputError
-from skyline.geodesy.bounds import Bounds, check_bounds, width_deg
+from skyline.geodesy.bounds import Bounds, Circle, check_bounds, width_deg
 from skyline.geodesy.crs import (
     half_axes_m,
     is_metric,
@@ -206,6 +206,12 @@ class Frame:
             direction="INVERSE",
         )
         return rectangle
+
+    def circle_m(self, circle: Circle) -> tuple[float, float, float]:
+        """Return easting, northing and radius, metres, of a circle in degrees."""
+        lon, lat, radius_km = circle
+        easting_m, northing_m = self.from_lonlat(lon, lat)
+        return float(easting_m), float(northing_m), 1000.0 * radius_km
 
     def convergence_deg(self, *, easting_m: ArrayLike, northing_m: ArrayLike) -> Float64Array:
         """Return the grid convergence, degrees: true azimuth minus grid azimuth."""

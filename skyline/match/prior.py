@@ -20,7 +20,7 @@ import numpy as np
 
 from skyline.arrays import BoolArray, Complex128Array, Float64Array
 from skyline.errors import InputError, numbers_of, swapped_in_words
-from skyline.geodesy.bounds import check_bounds, in_turn
+from skyline.geodesy.bounds import Circle, check_bounds, in_turn
 from skyline.geodesy.map_frame import Frame, Rectangle
 from skyline.match.screen import turns_within
 from skyline.photo.noted_place import NotedPlace
@@ -373,7 +373,7 @@ class Narrowing:
         A value is out of its range, or does not have the numbers of its field.
     """
 
-    near: tuple[float, float, float] | None = None
+    near: Circle | None = None
     bounds_deg: tuple[float, float, float, float] | None = None
     heading_deg: tuple[float, float] | None = None
     elevation_m: tuple[float, float] | None = None
@@ -432,8 +432,8 @@ class Prior:
     """Prior from the photo's EXIF."""
     exif: NotedPlace | None = None
     """The EXIF that ``noted`` is from."""
-    surroundings: tuple[float, float, float] | None = None
-    """Where a part of the search looks: longitude and latitude, degrees, and a radius, km."""
+    surroundings: Circle | None = None
+    """Where a part of the search looks."""
 
     @classmethod
     def of(
@@ -441,7 +441,7 @@ class Prior:
         narrowing: Narrowing,
         frame: Frame,
         exif: NotedPlace | None = None,
-        surroundings: tuple[float, float, float] | None = None,
+        surroundings: Circle | None = None,
     ) -> "Prior":
         """Return a narrowing in a frame, with the prior from EXIF.
 
@@ -449,7 +449,7 @@ class Prior:
         """
         noted = None if exif is None else PlacePrior.of_noted(exif, frame)
         rectangle = None
-        circles = (_circle_m(frame, one) for one in (narrowing.near, surroundings) if one)
+        circles = (frame.circle_m(one) for one in (narrowing.near, surroundings) if one)
         if narrowing.bounds_deg is not None:
             rectangle = frame.rectangle_m(narrowing.bounds_deg)
         return cls(narrowing, frame, tuple(circles), rectangle, noted, exif, surroundings)
@@ -512,9 +512,9 @@ class Prior:
 
         ``frame`` is the prior's own, which a prior without a narrowing may lack.
         """
-        circle = _circle_m(frame, (lon, lat, radius_km))
+        circle = lon, lat, radius_km
         return replace(
-            self, circles_m=(*self.circles_m, circle), surroundings=(lon, lat, radius_km)
+            self, circles_m=(*self.circles_m, frame.circle_m(circle)), surroundings=circle
         )
 
     def near_noted(self) -> "Prior | None":
@@ -541,13 +541,6 @@ class Prior:
             if all(a.min() <= b.max() and b.min() <= a.max() for a, b in pairs):
                 return f"; {swapped_in_words(*given)}"
         return ""
-
-
-def _circle_m(frame: Frame, circle: tuple[float, float, float]) -> tuple[float, float, float]:
-    """Return the metres of a circle in degrees and kilometres."""
-    lon, lat, radius_km = circle
-    east, north = frame.from_lonlat(lon, lat)
-    return float(east), float(north), 1000.0 * radius_km
 
 
 NOTHING_KNOWN = Prior()
