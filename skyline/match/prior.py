@@ -141,18 +141,24 @@ class PlacePrior:
         east, north = (float(value) for value in frame.from_lonlat(*noted.lonlat_deg))
         if not (np.isfinite(east) and np.isfinite(north)):
             return None  # Too far from the frame to have a place in it.
-        grid_heading_deg = noted.heading_deg
-        if grid_heading_deg is not None:
-            grid_heading_deg -= float(frame.convergence_deg(easting_m=east, northing_m=north))
-        sd_m = noted_position_sd_m(noted)
-        compass_sd_deg = noted_heading_sd_deg(noted)
-        elevation_m = None
-        elevation_sd_m = _EXIF.least_altitude_sd_m
+        prior = cls(east, north, noted_position_sd_m(noted))
         if noted.accuracy_m is not None:
             # Other altitudes would pull an eye of unknown place to ground that is too high.
-            elevation_m = noted.elevation_m
-            elevation_sd_m = _altitude_sd_m(noted)
-        return cls(east, north, sd_m, grid_heading_deg, compass_sd_deg, elevation_m, elevation_sd_m)
+            prior = replace(
+                prior, elevation_m=noted.elevation_m, elevation_sd_m=_altitude_sd_m(noted)
+            )
+        return prior.looking_as(noted, frame)
+
+    def looking_as(self, noted: NotedPlace, frame: Frame) -> "PlacePrior":
+        """Return the prior with the compass direction that a photo notes, if any."""
+        if noted.heading_deg is None:
+            return self
+        turn_deg = frame.convergence_deg(easting_m=self.easting_m, northing_m=self.northing_m)
+        return replace(
+            self,
+            grid_heading_deg=noted.heading_deg - float(turn_deg),
+            heading_sd_deg=noted_heading_sd_deg(noted),
+        )
 
     def cost(
         self, place_m: Complex128Array, eye_m: Float64Array, heading_rad: Float64Array
