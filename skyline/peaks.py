@@ -10,13 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pyproj import CRS
-from pyproj.exceptions import CRSError
 
 from skyline.arrays import Float64Array, ShortRepr
 from skyline.errors import InputError, printable, swapped_in_words
 from skyline.files import GEOJSON, read_bytes
-from skyline.geodesy.crs import WGS84, transformer
+from skyline.geodesy.crs import WGS84, crs_of_geojson, transformer
 from skyline.geodesy.earth import GROUND_M
 from skyline.geodesy.map_frame import Frame
 from skyline.tables import Row, read_table
@@ -184,7 +182,9 @@ def _read(path: str | Path) -> tuple[tuple[str, ...], Float64Array, bool]:
 
 
 def _row(row: Row, first: str, second: str) -> _Point:
-    height = row.with_point("height_m") or None
+    # A height that may be two stays as it is, and is no height.
+    readings = row.readings("height_m")
+    height = (readings[0] if len(readings) == 1 else row["height_m"]) or None
     return " ".join(row["name"].split()), row.number(first), row.number(second), height
 
 
@@ -196,31 +196,25 @@ def _of_geojson(path: str | Path) -> list[_Point]:
             f"gazetteer {path} cannot be read ({error}); expected GeoJSON: a FeatureCollection of "
             "points with the property `name`"
         ) from None
-    to_wgs84 = transformer(_crs_of(path, read), WGS84)
-    features = read.get("features") if isinstance(read, dict) else None
-    found = [_named_point(feature) for feature in features] if isinstance(features, list) else []
-    return [
-        (name, *to_wgs84.transform(lon, lat), ele) for name, lon, lat, ele in filter(None, found)
-    ]
-
-
-def _crs_of(path: str | Path, read: Any) -> CRS:
-    """Return the system of GeoJSON's degrees: WGS 84, unless it names another.
-
-    GeoJSON of 2008 could name a coordinate reference system. Raises `InputError` if that is not in
-    degrees.
-    """
-    try:
-        name = str(read["crs"]["properties"]["name"])
-        crs = CRS.from_user_input(name)
-    except (TypeError, KeyError, CRSError):
-        return WGS84
+    crs = crs_of_geojson(path, read.get("crs") if isinstance(read, dict) else None)
     if not crs.is_geographic:
         raise InputError(
             f"gazetteer {path} has the coordinate system {printable(crs.name)}; expected degrees "
             "of WGS 84: convert it, as with ogr2ogr -t_srs EPSG:4326"
         )
-    return crs
+    to_wgs84 = transformer(crs, WGS84)
+    features = read.get("features") if isinstance(read, dict) else None
+    found = [_named_point(feature) for feature in features] if isinstance(features, list) else []
+    points = [
+        (name, *to_wgs84.transform(lon, lat), ele) for name, lon, lat, ele in filter(None, found)
+    ]
+    for name, lon, lat, _ in points:
+        if not (abs(lon) <= 360.0 and abs(lat) <= 90.0):
+            raise InputError(
+                f"gazetteer {path} has {printable(name)} at {lon:g},{lat:g}; expected longitude "
+                "and latitude in degrees: convert it, as with ogr2ogr -t_srs EPSG:4326"
+            )
+    return points
 
 
 def _named_point(feature: Any) -> _Point | None:
@@ -236,7 +230,7 @@ def _named_point(feature: Any) -> _Point | None:
         ele = properties.get("ele")
     except (TypeError, KeyError, ValueError, OverflowError, AttributeError):
         return None
-    if not name or geometry.get("type") != "Point" or not (abs(lon) <= 360.0 and abs(lat) <= 90.0):
+    if not name or geometry.get("type") != "Point":
         return None
     return name, lon, lat, None if ele == "" else ele
 

@@ -43,7 +43,8 @@ def check_times(times: Sequence[datetime]) -> None:
     """Raise `InputError` if only some of the times have a zone."""
     if len({one.tzinfo is None for one in times}) > 1:
         raise InputError(
-            "some photos' times have a zone, and some have none, as in EXIF; give all alike"
+            "some photos' times have a zone, and some have none; give all alike, in a list with a "
+            "column `time` beside `path`"
         )
 
 
