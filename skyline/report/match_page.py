@@ -10,7 +10,7 @@ from pathlib import Path
 
 from skyline.arrays import UInt8Array
 from skyline.errors import InputError, OffMapError
-from skyline.files import REPORT_PAGE, write_with_folders
+from skyline.files import REPORT_PAGE, write_whole
 from skyline.match.areas import terrain_at_hand
 from skyline.match.matcher import Matcher
 from skyline.match.result import MatchResult, listed
@@ -101,9 +101,9 @@ def report_matches(
     path = folder / REPORT_PAGE
     try:
         # The page first: its mark says whose the other files are, should this be stopped.
-        write_with_folders(path, whole)
+        write_whole(path, whole)
         for name, content in pictures.items():
-            write_with_folders(folder / name, content)
+            write_whole(folder / name, content)
         export_matches(folder / CANDIDATES, results, matcher.frame)
     except InputError:
         if is_new:

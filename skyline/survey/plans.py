@@ -98,7 +98,7 @@ class PlacePlan:
 
     def __post_init__(self) -> None:
         if self.spacing_m is not None and self.places is not None:
-            raise InputError("give one of the spacing (a uniform grid) and the number of places")
+            raise InputError("give a spacing (for a uniform grid) or a number of places, not both")
         refuse_text(spacing_m=self.spacing_m, places=self.places)
         # JSON takes no NumPy numbers.
         for name, number in (("spacing_m", float), ("places", int), ("bounds_deg", check_bounds)):

@@ -497,6 +497,30 @@ def test_a_bad_photo_is_one_line_and_a_reload_keeps_the_good_one(page, photo, tm
     page.until(lambda: page.find("#answer").text == answer)
 
 
+def test_a_photo_that_is_dropped_twice_is_one_photo(page, photo, tmp_path):
+    again = tmp_path / "again.jpg"
+    again.write_bytes(photo.read_bytes())
+    page.open(photo)
+    page.drop(again)
+    page.until(lambda: page.find("#status").text == "again.jpg is open already")
+    assert page.state("state.photos.map((one) => one.name)") == ["photo.jpg"]
+
+
+def test_a_place_is_read_as_it_is_written_or_not_at_all(page):
+    """Half of a place would be another place, without a word."""
+    for text, place in (
+        ("46.8, -9.84", [46.8, -9.84]),
+        ("46.8° N 9.84 W", [46.8, -9.84]),
+        ("S33.5 W70.2", [-33.5, -70.2]),
+        ("−33.5, −70.2", [-33.5, -70.2]),
+        ("9.84 E, 46.8 N", [46.8, 9.84]),
+        ("33.5 S 70.2 O", None),
+        ("46,8 9,84", None),
+    ):
+        found = f"it.placeIn({json.dumps(text)})"
+        assert page.of("known", f"{found} && [{found}.lat, {found}.lon]") == place, text
+
+
 def test_many_photos_are_found_in_turn_and_say_where_they_were(page, photo, dem, tmp_path):
     place = candidate_at(602_500.0, 5_178_500.0, 33.0, frame=read_dem([dem]).frame)
     located = tmp_path / "located.jpg"

@@ -58,12 +58,24 @@ function show() {
 
 const inWords = ({ lat, lon }) => `${lat.toFixed(5)}, ${lon.toFixed(5)}`;
 
-// Reads a latitude and a longitude as people write and copy them: 46.8, -9.84 or 46.8 N 9.84 W.
-function placeIn(text) {
-  const parts = [...text.matchAll(/(-?\d+(?:\.\d+)?)\s*°?\s*([NSEW]?)/gi)].map(([, number, side]) =>
-    /[sw]/i.test(side) ? -number : Number(number));
-  const [lat, lon] = parts;
-  return parts.length === 2 && Math.abs(lat) <= 90 && Math.abs(lon) <= 180 ? { lat, lon } : null;
+const numberOf = (name) => `(?<${name}>-?\\d+(?:\\.\\d+)?)\\s*°?`;
+const PLACES = [
+  `^${numberOf("one")}\\s*(?<side>[NSEW]?)[\\s,;]+${numberOf("other")}\\s*(?<across>[NSEW]?)$`,
+  `^(?<side>[NSEW])\\s*${numberOf("one")}[\\s,;]+(?<across>[NSEW])\\s*${numberOf("other")}$`,
+].map((one) => new RegExp(one, "i"));
+
+// Reads a place as people write and copy it: 46.8, -9.84, 46.8 N 9.84 W or W 9.84, N 46.8. Without
+// letters the latitude is the first. What is read only in part would be another place: null.
+export function placeIn(text) {
+  const plain = text.trim().replaceAll("−", "-");
+  const found = PLACES.map((one) => plain.match(one)).find(Boolean)?.groups;
+  if (!found) return null;
+  const { one, side, other, across } = found;
+  const isSwapped = /[ew]/i.test(side) || /[ns]/i.test(across);
+  if (isSwapped && (/[ns]/i.test(side) || /[ew]/i.test(across))) return null;
+  const signed = [[one, side], [other, across]].map(([number, of]) => /[sw]/i.test(of) ? -Math.abs(number) : Number(number));
+  const [lat, lon] = isSwapped ? signed.reverse() : signed;
+  return Math.abs(lat) <= 90 && Math.abs(lon) <= 180 ? { lat, lon } : null;
 }
 
 function typed() {
