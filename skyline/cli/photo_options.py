@@ -9,7 +9,7 @@ from typer import Argument, Option
 
 from skyline.batch import Entry
 from skyline.camera import Pixel, Projection
-from skyline.cli.options import PEAKS_VARIABLE, panel, parse_bounds
+from skyline.cli.options import PEAKS_VARIABLE, bounds_option, panel, parse_bounds
 from skyline.errors import InputError, numbers_in
 from skyline.geodesy.bounds import Circle
 from skyline.match.prior import NOTED_KM, Narrowing
@@ -78,14 +78,7 @@ Near = Annotated[
         f"({NOTED_KM:g} km unless KM is given).",
     ),
 ]
-SearchBounds = Annotated[
-    str | None,
-    Option(
-        "--bounds",
-        metavar="W,S,E,N",
-        help="Search in the area: west, south, east, north in degrees (WGS 84).",
-    ),
-]
+SearchBounds = Annotated[str | None, bounds_option("Search in the area")]
 Heading = Annotated[
     float | None,
     _known("--heading", metavar="DEG", help="Heading of the camera, degrees from true north."),

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pyproj import CRS, Geod, Transformer
 
-from skyline.arrays import Complex128Array, Float64Array, by_dimensions, refuse_text
+from skyline.arrays import BoolArray, Complex128Array, Float64Array, by_dimensions, refuse_text
 from skyline.errors import InputError
 from skyline.geodesy.bounds import Bounds, Circle, check_bounds, width_deg
 from skyline.geodesy.crs import (
@@ -292,6 +292,14 @@ class Frame:
         across_m = geod.a / np.sqrt(root)
         along_m = across_m * (1.0 - geod.es) / root
         return eastward / across_m, northward / along_m
+
+
+def in_rectangle(rectangle_m: Rectangle, easting_m: ArrayLike, northing_m: ArrayLike) -> BoolArray:
+    """Return which positions lie in a rectangle or on its sides."""
+    west, south, east, north = rectangle_m
+    easting = np.asarray(easting_m)
+    northing = np.asarray(northing_m)
+    return (west <= easting) & (easting <= east) & (south <= northing) & (northing <= north)
 
 
 def geodesic_m(lon: float, lat: float, other_lon: float, other_lat: float) -> float:

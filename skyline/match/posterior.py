@@ -402,9 +402,14 @@ class _Layer:
             counted = np.bincount(cell[some], share[some], minlength=total.size).reshape(shape)
             sigma = float(2.0 ** (0.5 * one)) / side_m
             total += cv2.GaussianBlur(counted, (0, 0), sigma, borderType=cv2.BORDER_REFLECT)
-        size = shape[1] * step, shape[0] * step
-        finer = cv2.resize(total, size, interpolation=cv2.INTER_LINEAR)
-        self.probability += finer[: grid.rows, : grid.cols] / step**2
+        self.probability += on_finer_cells(total, step, grid.shape) / step**2
+
+
+def on_finer_cells(coarse: Float64Array, step: int, shape: tuple[int, int]) -> Float64Array:
+    """Return the bilinear values (rows, cols) of cells ``step`` times as wide."""
+    rows, cols = coarse.shape
+    finer = cv2.resize(coarse, (cols * step, rows * step), interpolation=cv2.INTER_LINEAR)
+    return np.asarray(finer[: shape[0], : shape[1]])
 
 
 def _density(

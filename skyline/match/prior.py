@@ -21,7 +21,7 @@ import numpy as np
 from skyline.arrays import BoolArray, Complex128Array, Float64Array
 from skyline.errors import InputError, numbers_of, swapped_in_words
 from skyline.geodesy.bounds import Circle, check_bounds, in_turn
-from skyline.geodesy.map_frame import Frame, Rectangle
+from skyline.geodesy.map_frame import Frame, Rectangle, in_rectangle
 from skyline.match.screen import turns_within
 from skyline.photo.noted_place import NotedPlace
 from skyline.pose import Poses
@@ -496,9 +496,7 @@ class Prior:
         for east, north, radius_m in self.circles_m:
             inside &= (easting_m - east) ** 2 + (northing_m - north) ** 2 <= radius_m**2
         if self.rectangle_m is not None:
-            west, south, east, north = self.rectangle_m
-            inside &= (easting_m >= west) & (easting_m <= east)
-            inside &= (northing_m >= south) & (northing_m <= north)
+            inside &= in_rectangle(self.rectangle_m, easting_m, northing_m)
         return inside
 
     def allows(self, poses: Poses) -> BoolArray:

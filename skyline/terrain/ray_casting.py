@@ -33,8 +33,7 @@ def edge_crossings_m(
     them; all other distances are ``near_m``.
     """
     row, col = field.to_grid(easting_m=eye.easting_m, northing_m=eye.northing_m)
-    down = -np.cos(azimuth_rad) / field.spacing_north_m
-    right = np.sin(azimuth_rad) / field.spacing_east_m
+    down, right = _samples_a_metre(field, azimuth_rad)
     crossings_m = []
     for start, a_metre in ((row, down), (col, right), (col - row, right - down)):
         ends = start + a_metre * np.stack([near_m, far_m])
@@ -188,8 +187,7 @@ def _carried_over(
     Where it does not converge, the distance is ``near_m``.
     """
     eye_row, eye_col = field.to_grid(easting_m=eye.easting_m, northing_m=eye.northing_m)
-    down = -np.cos(azimuth_rad) / field.spacing_north_m
-    right = np.sin(azimuth_rad) / field.spacing_east_m
+    down, right = _samples_a_metre(field, azimuth_rad)
 
     def over(away_m: Float64Array) -> tuple[Float64Array, Float64Array]:
         """Return the terrain's height above rays, and its slope with distance."""
@@ -217,6 +215,14 @@ def _carried_over(
     # The distance at a nearby azimuth may differ by two samples.
     is_met &= np.abs(away_m - near_m) <= 2.0 * field.spacing_m
     return np.where(is_met & (away_m > 0.0), away_m, near_m)
+
+
+def _samples_a_metre(
+    field: HeightField, azimuth_rad: Float64Array
+) -> tuple[Float64Array, Float64Array]:
+    """Return how many samples rays pass in a metre, down the rows and to the right."""
+    down = -np.cos(azimuth_rad) / field.spacing_north_m
+    return down, np.sin(azimuth_rad) / field.spacing_east_m
 
 
 def _border_m(field: HeightField, eye: Viewpoints, azimuth_rad: Float64Array) -> Float64Array:

@@ -4,13 +4,13 @@ import json
 import logging
 import math
 from dataclasses import asdict, dataclass
-from functools import partial
+from functools import partial, reduce
 from pathlib import Path
 from typing import Any
 
 from skyline import build_places, build_uniform
 from skyline.errors import InputError
-from skyline.geodesy.bounds import Bounds
+from skyline.geodesy.bounds import Bounds, box_around
 from skyline.paper.build import build_planned
 from skyline.paper.plan import PlanConfig
 from skyline.progress import Progress
@@ -165,10 +165,7 @@ class BuiltStore:
             "build_s": note.get("build_s", math.nan),
             "build_cpu_s": note.get("build_cpu_s", math.nan),
         }
-        bounds_deg = None
-        if boxes_deg is not None:
-            west, south, east, north = zip(*boxes_deg, strict=True)
-            bounds_deg = min(west), min(south), max(east), max(north)
+        bounds_deg = None if boxes_deg is None else reduce(box_around, boxes_deg)
         return cls(spec, path, holds, bounds_deg, digest, figures)
 
     @property
