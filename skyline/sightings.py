@@ -6,6 +6,7 @@ there. It is visible if no ground rises above the straight line to it. Ground wi
 is the peak's own, and does not hide it.
 """
 
+import logging
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -23,10 +24,15 @@ from skyline.terrain.viewpoints import Viewpoints
 
 UNDERFOOT_SAMPLES = 0.35
 """Ground nearer than this many samples hides nothing: the model is too coarse there."""
+_OTHER_HEIGHT_M = 200.0
+"""A gazetteer's height that differs by more from the terrain's at the summit is not its height in
+metres: vertical datums differ by up to 100 m, and coarse models cut off as much."""
 S = TypeVar("S", bound="Sighting")
 _FROM_LEFT = "\N{LEFT-TO-RIGHT MARK}"
 _FROM_RIGHT = ("R", "AL")
 """Bidirectional classes of letters that are written from right to left."""
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,9 +84,11 @@ def aimed_at(
 ) -> list[Sighting | None]:
     """Return where one eye would see each peak if nothing hid it.
 
-    None stands for a peak off the terrain.
+    None stands for a peak off the terrain. A height that contradicts the terrain, such as one in
+    feet, is left out, and one warning counts these heights.
     """
     aimed: list[Sighting | None] = []
+    other: list[tuple[str, float, float]] = []
     for index, name in enumerate(peaks.names):
         summit = summit_near(terrain, peaks.easting_m[index], peaks.northing_m[index])
         if summit is None:
@@ -91,6 +99,10 @@ def aimed_at(
         north_m = northing_m - float(eye.northing_m[0])
         distance_m = math.hypot(east_m, north_m)
         up_m = surface_m - float(eye.eye_elevation_m[0]) - float(curvature.drop_m(distance_m))
+        height_m = float(peaks.height_m[index])
+        if abs(height_m - surface_m) > _OTHER_HEIGHT_M:
+            other.append((name, height_m, surface_m))
+            height_m = math.nan
         aimed.append(
             Sighting(
                 name=name,
@@ -101,8 +113,15 @@ def aimed_at(
                 # Of a summit just under the eye no direction is asked.
                 elevation_tan=up_m / max(distance_m, 1.0),
                 distance_m=distance_m,
-                height_m=float(peaks.height_m[index]),
+                height_m=height_m,
             )
+        )
+    if other:
+        _log.warning(
+            "%d of %d peaks have heights that differ by more than %g m from the terrain (the first "
+            "is %s, %.0f m high, on ground of %.0f m), so they are shown without one; expected "
+            "metres, or a unit, such as 14505 ft",
+            *(len(other), len(peaks), _OTHER_HEIGHT_M, *other[0]),
         )
     return aimed
 

@@ -404,10 +404,10 @@ class Narrowing:
                 )
         if self.heading_deg is not None:
             heading, slack = self.heading_deg
-            if not (np.isfinite(heading) and 0.0 < slack <= 180.0):
+            if not (abs(heading) <= 360.0 and 0.0 < slack <= 180.0):
                 raise InputError(
                     f"heading is {heading:g} within {slack:g} degrees; expected a slack above 0, "
-                    "at most 180"
+                    "at most 180, and a heading from -360 to 360"
                 )
         if self.elevation_m is not None:
             low, high = self.elevation_m

@@ -58,6 +58,17 @@ def test_a_peak_is_seen_unless_something_before_it_stands_higher():
     assert names_seen(level_m + 20.0) == ["west"]
 
 
+def test_a_height_in_feet_is_not_shown_as_metres(caplog):
+    """Both summits are 600 m high, which are 1969 ft."""
+    terrain = two_cones(0.0)
+    eye = stand_on(terrain, easting_m=0.0, northing_m=-900.0, eye_height_m=2.0)
+    peaks = replace(TWO, height_m=np.array([1969.0, 610.0]))
+    labels = [peak.label for peak in visible_peaks(terrain, eye, peaks, FLAT)]
+    assert labels == ["west", "east 610 m"]
+    (record,) = caplog.records
+    assert "1 of 2 peaks have heights that differ by more than 200 m" in record.getMessage()
+
+
 def test_numbers_stay_behind_a_name_from_right_to_left():
     seen = Sighting(
         name="Hermon", easting_m=0.0, northing_m=0.0, surface_m=0.0, grid_azimuth_deg=0.0,
