@@ -84,13 +84,14 @@ export function choose(index) {
 
 function show() {
   const { photo } = state;
+  const isLoading = !state.rows;
   const busy = photo?.state === "matching";
   // What a person says about the camera may widen what is seen.
   const lacks = state.lacks && !("fov_deg" in known()) ? state.lacks : null;
-  $("find").disabled = !photo || busy || Boolean(lacks);
+  $("find").disabled = isLoading || busy || Boolean(lacks);
   $("progress").hidden = !busy;
   $("find-hint").hidden = Boolean(!photo || photo.area || busy);
-  $("answer").replaceChildren(...(busy ? [] : lacks ? missing(lacks) : photo?.result ? verdict(standing()) : []));
+  $("answer").replaceChildren(...(busy || isLoading ? [] : lacks ? missing(lacks) : photo?.result ? verdict(standing()) : []));
   list(busy ? [] : standing()?.candidates ?? []);
 }
 
@@ -169,6 +170,6 @@ export function start() {
   on("photo", (photo) => {
     show();
     if (photo?.result) choose(0);
-    toView(photo?.result ? "answer" : "find");
+    if (photo) toView(photo.result ? "answer" : "find");
   });
 }
