@@ -479,6 +479,21 @@ def test_a_second_tab_follows_the_first(page, photo):
     page.until(lambda: page.find("#welcome").is_displayed())
 
 
+def test_a_search_that_another_tab_has_begun_can_be_cancelled(page, photo):
+    page.open(photo)
+    number = page.state("state.photo.id")
+
+    def told(done):
+        progress = {"photo": number, "step": "fitting", "share": 0.5, "done": done}
+        page.of("state", f"it.emit('progress', {json.dumps(progress)})")
+
+    told(False)
+    assert page.find("#cancel").is_displayed()
+    assert not page.find("#find").is_enabled()
+    told(True)
+    page.until(lambda: page.find("#find").is_enabled())
+
+
 def test_a_bad_photo_is_one_line_and_a_reload_keeps_the_good_one(page, photo, tmp_path):
     text = tmp_path / "letter.jpg"
     text.write_text("no photo")

@@ -9,6 +9,7 @@ const STEPS = { waiting: "waiting for another search", screening: "comparing all
   "fetching tiles": "fetching elevation", "building the store": "rendering the area's skylines" };
 
 const CANCELLED = "cancelled";
+const IDLE = ["ready", "answered", "no answer"];
 const awaited = new Set(); // photos whose searches this page has begun
 
 // Returns false if the search was cancelled.
@@ -140,6 +141,11 @@ function row({ pose }, index) {
 
 function progressed(match) {
   const photo = state.photos.find((one) => one.id === match.photo);
+  if (!match.done && IDLE.includes(photo?.state)) {
+    photo.state = "matching"; // Another tab has begun this search, and either may cancel it.
+    emit("states");
+    show();
+  }
   if (match.done && photo?.state === "matching" && !awaited.has(photo)) rejoin(photo);
   if (!photo || photo !== state.photo || match.done) return;
   $("bar").value = match.share;
