@@ -136,7 +136,7 @@ def test_a_geopackage_is_opened_by_gdal(place_store, tmp_path):
     ("kind", "name"),
     [
         ("place_store", "places.shp"),
-        ("place_store", "none/places.gpkg"),
+        ("place_store", "places.h5/places.gpkg"),
         ("view_store", "views.gpkg"),
     ],
 )
