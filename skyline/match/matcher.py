@@ -16,6 +16,7 @@ import numpy as np
 from PIL.Image import Image
 from pyproj import CRS
 
+from skyline.arrays import refuse_text
 from skyline.errors import InputError
 from skyline.geodesy.map_frame import Frame
 from skyline.match.areas import MatchedArea, frame_of, paths_of, terrain_at_hand
@@ -446,6 +447,7 @@ class Matcher(Closeable):
         StoreError
             See `match`.
         """
+        refuse_text(walked_km_h=walked_km_h)
         if not results or len(times) != len(results) or not 0.0 < walked_km_h < math.inf:
             raise InputError(
                 f"{len(results)} photos, {len(times)} times and {walked_km_h} km/h; expected a "
@@ -487,10 +489,13 @@ class Matcher(Closeable):
         given = list(photos)
         if narrowings is None:
             narrowings = [None] * len(given)
-        if len(given) < 2 or len(narrowings) != len(given):
+        if len(given) < 2:
             raise InputError(
-                f"{len(given)} photos and {len(narrowings)} narrowings; expected two photos or "
-                "more and as many narrowings"
+                f"photos of one place: {len(given)}; expected two or more, for one use `match`"
+            )
+        if len(narrowings) != len(given):
+            raise InputError(
+                f"{len(given)} photos and {len(narrowings)} narrowings; expected as many"
             )
         named = [named_skyline(photo, fov_deg) for photo in given]
         return [
@@ -610,10 +615,12 @@ def _searched(
     For photos of one place, only those that agree are returned, or all if none does. Raises
     `InputError` for a result that is not from a search.
     """
-    if isinstance(result, MatchResult):
-        if result.narrowing is None:
-            raise InputError("a posterior takes the result of `match` or of `match_together`")
+    if isinstance(result, MatchResult) and result.narrowing is not None:
         return [(result.skyline, result.narrowing)], result.candidates
+    if not isinstance(result, JointResult):
+        raise InputError(
+            "a posterior takes the result of `match` or of `match_together`, one at a time"
+        )
     photos = [
         (one.skyline, narrowing)
         for one, narrowing in zip(result.results, result.narrowings, strict=True)
@@ -677,7 +684,7 @@ def _surest(searches: Sequence[_Search]) -> _Search:
 
 def _check_top(top: int) -> None:
     if not isinstance(top, int | np.integer) or top < 1:
-        raise InputError(f"top is {top!r}; expected at least 1 candidate")
+        raise InputError(f"top is {top!r}; expected a whole number of candidates from 1")
 
 
 def _instance(name: str, value: object, kind: type[T]) -> T:

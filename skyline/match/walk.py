@@ -39,7 +39,10 @@ _DISC = DiscSize()
 
 
 def check_times(times: Sequence[datetime]) -> None:
-    """Raise `InputError` if only some of the times have a zone."""
+    """Raise `InputError` unless all times are datetimes, with zones or without."""
+    other = next((one for one in times if not isinstance(one, datetime)), None)
+    if other is not None:
+        raise InputError(f"a time is {other!r}; expected a datetime of Python or pandas")
     if len({one.tzinfo is None for one in times}) > 1:
         raise InputError(
             "some photos' times have a zone, and some have none; give all alike, in a list with a "

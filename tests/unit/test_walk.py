@@ -94,5 +94,7 @@ def test_a_walk_that_nobody_can_have_gone_is_told():
 def test_times_with_and_without_a_zone_cannot_be_compared():
     at = datetime(2026, 7, 14, 15, 4)
     check_times([at, at])
+    with pytest.raises(InputError, match="a time is '2026-07-14'; expected a datetime"):
+        check_times([at, "2026-07-14"])
     with pytest.raises(InputError, match="give all alike"):
         check_times([at, at.replace(tzinfo=UTC)])

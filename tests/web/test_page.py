@@ -479,6 +479,21 @@ def test_a_second_tab_follows_the_first(page, photo):
     page.until(lambda: page.find("#welcome").is_displayed())
 
 
+def test_a_search_that_another_tab_has_begun_can_be_cancelled(page, photo):
+    page.open(photo)
+    number = page.state("state.photo.id")
+
+    def told(done):
+        progress = {"photo": number, "step": "fitting", "share": 0.5, "done": done}
+        page.of("state", f"it.emit('progress', {json.dumps(progress)})")
+
+    told(False)
+    assert page.find("#cancel").is_displayed()
+    assert not page.find("#find").is_enabled()
+    told(True)
+    page.until(lambda: page.find("#find").is_enabled())
+
+
 def test_a_bad_photo_is_one_line_and_a_reload_keeps_the_good_one(page, photo, tmp_path):
     text = tmp_path / "letter.jpg"
     text.write_text("no photo")
@@ -537,6 +552,13 @@ def test_many_photos_are_found_in_turn_and_say_where_they_were(page, photo, dem,
     page.click("#near-known")
     near = page.of("known", "it.known().near")
     assert near[:2] == pytest.approx([place.lon, place.lat], abs=1e-5)
+    # While the server is silent, the answer of one photo does not stand under another.
+    page.script("window.asked = window.fetch; window.fetch = () => new Promise(() => {})")
+    assert "Found" in page.find("#answer").text
+    page.click("#photos li:first-child .pick")
+    assert page.find("#answer").text == ""
+    assert not page.find("#find").is_enabled()
+    page.script("window.fetch = window.asked")
     page.click("#photos li:first-child .pick")
     page.until(lambda: page.state("state.photo.name") == "photo.jpg")
     page.settled()

@@ -7,10 +7,17 @@ const MOST_KM = 100;
 const NOTHING = { heading_deg: null, near: null, elevation_m: null, eye_height_m: null };
 // Numbers that a slider's steps would round; each holds until its slider is moved.
 const exact = {};
+const last = {}; // the numbers that the fields have had last
 // Whether the user gave the circle. A circle from a photo's own position belongs to that photo.
 let isGiven = false;
 
-const value = (id) => exact[id] ?? $(id).valueAsNumber;
+// A field that is emptied keeps its number, and shows it again when it is left.
+function value(id) {
+  const number = exact[id] ?? $(id).valueAsNumber;
+  if (Number.isFinite(number)) last[id] = number;
+  return last[id];
+}
+
 const isKnown = (name) => $(`${name}-known`).checked;
 const isHeightKnown = () => $("eye").value !== "";
 // The radius of the circle, rounded as it is shown.
@@ -103,7 +110,7 @@ function summary() {
     isKnown("fov") && `${degrees("fov")} wide`,
     isKnown("heading") && `towards ${degrees("heading")}`,
     isKnown("near") && `within ${radiusKm()} km`,
-    isKnown("elevation") && `${$("low").value} to ${$("high").value} m`,
+    isKnown("elevation") && `${value("low")} to ${value("high")} m`,
     isHeightKnown() && `${$("eye").value} m above the ground`,
   ].filter(Boolean);
   const offered = state.photo?.lonlat_deg && !isKnown("near")
@@ -177,6 +184,7 @@ export function start() {
       id === "radius" ? showCircle() : show();
     };
   }
+  for (const id of ["low", "high"]) $(id).onchange = () => ($(id).value = value(id));
   $("near-known").onchange = () => {
     isGiven = true;
     showCircle();

@@ -69,6 +69,8 @@ export async function choose(photo) {
   if (["waiting", "opening", ...LOST].includes(photo.state)) return;
   if (!photo.id && !(await open(photo, () => server.openGiven(photo.given)).catch(() => false))) return;
   setPhoto(photo);
+  emit("photo", null); // What is shown of the last photo is not of this one.
+  showStatus("");
   setArea(photo.area);
   forget();
   loading = true;
