@@ -68,9 +68,9 @@ def _content(stream: TextIO) -> bytes:
 def write_whole(path: Path, content: bytes | str) -> None:
     """Write a file whole or not at all.
 
-    The path ``-`` is standard output. After a failure the file is as it was. A link stays, and its
-    target is written; devices and pipes are written, too. Raises `InputError` where the file cannot
-    be written.
+    The path ``-`` is standard output. Missing folders are made, so that hours of work are not lost
+    to them. After a failure the file is as it was. A link stays, and its target is written; devices
+    and pipes are written, too. Raises `InputError` where the file cannot be written.
     """
     content = content.encode() if isinstance(content, str) else content
     if str(path) == STANDARD:
@@ -81,12 +81,14 @@ def write_whole(path: Path, content: bytes | str) -> None:
         if path.is_char_device() or path.is_fifo():
             path.write_bytes(content)
         else:
-            with appearing(Path(os.path.realpath(path))) as partial:
+            target = Path(os.path.realpath(path))
+            target.parent.mkdir(parents=True, exist_ok=True)
+            with appearing(target) as partial:
                 partial.write_bytes(content)
     except OSError as error:
         raise InputError(
-            f"{path} cannot be written ({error.strerror}); name a file in a folder that exists and "
-            "has room"
+            f"{path} cannot be written ({error.strerror}); name a file that can be made, on a "
+            "disk with room"
         ) from error
 
 
@@ -103,13 +105,6 @@ def appearing(path: Path) -> Iterator[Path]:
     finally:
         with suppress(OSError):
             partial.unlink(missing_ok=True)
-
-
-def write_with_folders(path: Path, content: bytes | str) -> None:
-    """Make missing folders, then write a file as `write_whole`."""
-    with suppress(OSError):  # Then the file cannot be written either.
-        path.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(path, content)
 
 
 def check_folder(path: Path) -> None:

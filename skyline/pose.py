@@ -37,7 +37,7 @@ _LEAST_SHARE = 0.005
 _ARC_STEP_DEG = 2.0
 _ELLIPSE_POINTS = 72
 
-_WRITTEN = (
+WRITTEN = (
     "easting_m", "northing_m", "lon", "lat", "eye_elevation_m", "radius_m", "heading_deg",
     "pitch_deg", "roll_deg", "fov_deg", "distortion", "wander", "cost", "confidence",
     "confidence_1km", "refined", "beyond_share", "residual_deg", "terrain_share", "skyline_m",
@@ -252,7 +252,7 @@ class Pose:
         Unknown values are None, and so are numbers that are not finite, which JSON cannot hold.
         `skyline.noted_pose.NotedPose.from_dict` reads the record.
         """
-        return {name: _finite(getattr(self, name)) for name in _WRITTEN}
+        return {name: _finite(getattr(self, name)) for name in WRITTEN}
 
     def cells(self) -> list[str]:
         """Return the values of `COLUMNS` as text; empty where unknown."""

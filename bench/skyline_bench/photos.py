@@ -27,7 +27,7 @@ from skyline import (
 )
 from skyline.arrays import Float64Array
 from skyline.cli.terminal import Terminal
-from skyline.files import write_with_folders
+from skyline.files import write_whole
 from skyline.geodesy.bounds import Bounds, in_turn
 from skyline.geodesy.map_frame import geodesic_m
 from skyline.photo.read import read_picture
@@ -128,7 +128,7 @@ def photos(
     write_record(record, rows, {"photos": summary}, terrain=terrain, stores=stores, files=files)
     if page_file is not None:
         lead = f"{len(rows)} photographs of {manifest.name}."
-        write_with_folders(page_file, page("Photographs", lead, sections))
+        write_whole(page_file, page("Photographs", lead, sections))
 
 
 def _section(measured: Measured, viewer: Viewer | None) -> str:

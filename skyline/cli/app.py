@@ -1,5 +1,6 @@
 """Command lines: their help, their option ``--quiet``, and how their runs end."""
 
+import inspect
 import logging
 import os
 import sys
@@ -71,14 +72,17 @@ def _with_quiet(command: Any) -> Any:
         alone = typer.Typer(add_completion=False)
         alone.command()(_with_option)
         command.params += typer.main.get_command(alone).params
-    return _without_types(command)
+    return _tidy(command)
 
 
-def _without_types(command: Any) -> Any:
-    """Return a command whose flags show no type.
+def _tidy(command: Any) -> Any:
+    """Return a command whose flags show no type, and whose help fills its lines.
 
-    Typer would show ``--json <bool>``.
+    Typer would show ``--json <bool>``, and break lines of the help where the docstring does.
     """
+    if command.help:
+        paragraphs = inspect.cleandoc(command.help).split("\n\n")
+        command.help = "\n\n".join(" ".join(one.split()) for one in paragraphs)
     for option in command.get_params(typer.Context(command, help_option_names=_HELP)):
         if getattr(option, "is_flag", False):
             option.metavar = ""
@@ -120,7 +124,7 @@ def run_app(app: typer.Typer, terminal: Terminal | None = None) -> None:
     os.environ.setdefault("HDF5_USE_FILE_LOCKING", "FALSE")
     try:
         with terminal.interruptible():
-            command = _without_types(typer.main.get_command(app))
+            command = _tidy(typer.main.get_command(app))
             code = command(standalone_mode=False, obj=terminal)
         if code == _INTERRUPTED:
             raise KeyboardInterrupt

@@ -17,7 +17,7 @@ from skyline.cli.options import (
     output_option,
     parse_bounds,
 )
-from skyline.cli.terminal import Terminal
+from skyline.cli.terminal import Terminal, size_in_words
 from skyline.store.read import open_store
 from skyline.survey.build import BuildResult, build_store
 from skyline.survey.cluster import runner_of
@@ -83,11 +83,11 @@ def _finds_in_words(classes: Sequence[tuple[float, float, float]]) -> str:
 
 def built_in_words(result: BuildResult, path: Path, rows: str) -> str:
     """Return a sentence on a store's rows, its size and its time."""
-    size = f"{path.stat().st_size / 1e6:.1f} MB"
+    size = size_in_words(path.stat().st_size)
     if not result.rendered:
         return f"{path}: {result.rows} {rows}, complete: nothing was left to render, {size}"
     rate = result.rendered / max(result.seconds, 1e-9)
     return (
         f"{path}: {result.rows} {rows}, {result.rendered} of them new in "
-        f"{result.seconds:.1f} s ({rate:.0f}/s), {size}"
+        f"{result.seconds:.1f} s ({rate:.{0 if rate >= 10.0 else 1}f}/s), {size}"
     )

@@ -10,7 +10,7 @@ from typer import Option
 
 from skyline.cache import cached_areas, clear_cache
 from skyline.cli.options import AsJson
-from skyline.cli.terminal import Terminal
+from skyline.cli.terminal import Terminal, size_in_words
 from skyline.files import cache_folder
 from skyline.terrain.kept_models import kept_bytes
 
@@ -30,7 +30,7 @@ def cache(
     if clear:
         count = clear_cache(terminal.note)
         left = _bytes_of(_areas()) + kept_bytes()
-        terminal.line(f"{cache_folder()}: areas removed: {count}, {(total - left) / 1e6:.1f} MB")
+        terminal.line(f"{cache_folder()}: areas removed: {count}, {size_in_words(total - left)}")
         return
     if as_json:
         about = {"folder": str(cache_folder()), "areas": areas, "model_bytes": kept_bytes()}
@@ -38,13 +38,15 @@ def cache(
         return
     for one in areas:
         unfinished = "" if one["finished"] else ", unfinished"
-        store = f"store {one['store_bytes'] / 1e6:.1f} MB{unfinished}"
-        tiles = f"tiles: {one['tiles']}, {one['tile_bytes'] / 1e6:.1f} MB; " if one["tiles"] else ""
+        store = f"store {size_in_words(one['store_bytes'])}{unfinished}"
+        tiles = (
+            f"tiles: {one['tiles']}, {size_in_words(one['tile_bytes'])}; " if one["tiles"] else ""
+        )
         changed = datetime.fromisoformat(one["changed"])
         terminal.line(f"{one['folder']}: {tiles}{store}, {changed:%Y-%m-%d %H:%M}")
     if models := kept_bytes():
-        terminal.line(f"elevation models as they were read: {models / 1e6:.1f} MB")
-    terminal.line(f"{cache_folder()}: areas: {len(areas)}, {total / 1e6:.1f} MB")
+        terminal.line(f"elevation models as they were read: {size_in_words(models)}")
+    terminal.line(f"{cache_folder()}: areas: {len(areas)}, {size_in_words(total)}")
 
 
 def _areas() -> list[dict[str, Any]]:

@@ -7,7 +7,7 @@ import typer
 from typer import Option
 
 from skyline.cli.options import BoundsText, output_option, parse_bounds
-from skyline.cli.terminal import Terminal
+from skyline.cli.terminal import Terminal, size_in_words
 from skyline.fetch.dem_tiles import DEFAULT_SOURCE, SOURCE_VARIABLE, SOURCES, fetch_dem
 from skyline.progress import Step
 
@@ -57,7 +57,7 @@ def fetch(
         done = fetch_dem(parse_bounds(bounds), source, folder, progress=progress)
     held = sum(path.stat().st_size for path in done.files)
     terminal.line(
-        f"{folder}: {len(done.files)} tiles, {done.fetched} fetched now, {held / 1e6:.1f} MB"
+        f"{folder}: {len(done.files)} tiles, {done.fetched} fetched now, {size_in_words(held)}"
     )
     if done.missing:
         terminal.line(f"the source has no tile (usually sea) for: {', '.join(done.missing)}")

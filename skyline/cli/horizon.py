@@ -22,7 +22,7 @@ from skyline.cli.terminal import Terminal
 from skyline.errors import InputError
 from skyline.files import STANDARD, check_outputs
 from skyline.horizons import DEFAULT_STEP_DEG, horizons_of, steps_a_turn
-from skyline.report.horizon_files import horizon_csv, kind_of_horizons, write_horizons
+from skyline.report.horizon_files import check_fit, horizon_csv, kind_of_horizons, write_horizons
 from skyline.tasks.standing import stand_with_notes, warn_of_border
 from skyline.tasks.terrain import curvature_of, read_terrain
 from skyline.terrain.surface_model import read_surface
@@ -80,8 +80,9 @@ def horizon(
     if photo is not None and surface:
         raise InputError("--photo shows trees and houses itself; leave --surface out")
     check_outputs([output], filter(None, [viewpoints, photo, pose]))
-    if output is not None and output != Path(STANDARD):
-        kind_of_horizons(output)
+    file = None if output == Path(STANDARD) else output
+    if file is not None:
+        kind_of_horizons(file)
     steps_a_turn(step_deg)  # Refused before the DEM is read
     positions = [parse_position(text) for text in at or ()]
     terrain = read_terrain(terminal, dem, crs)
@@ -102,13 +103,15 @@ def horizon(
             eyes, ids = read_viewpoints(viewpoints, terrain, eye_height, summit_within)
         else:
             eyes = stand_with_notes(terrain, positions, eye_height, summit_within, terminal)
+        if file is not None:
+            check_fit(file, len(eyes), bool(surface), terrain.frame.crs)
         over = read_surface(surface, terrain) if surface else None
         with terminal.progress("rendering") as progress:
             found = horizons_of(terrain, eyes, step_deg, curvature, progress, over, ids)
-    if output is None or str(output) == STANDARD:
+    if file is None:
         typer.echo(horizon_csv(found), nl=False)
     else:
-        write_horizons(found, output)
+        write_horizons(found, file)
     warn_of_border(found)
 
 

@@ -16,7 +16,7 @@ from skyline.cli.options import (
     output_option,
     parse_position,
 )
-from skyline.cli.terminal import Terminal
+from skyline.cli.terminal import Terminal, size_in_words
 from skyline.errors import suffix_of
 from skyline.peaks import read_peaks
 from skyline.report.panorama_view import PanoramaConfig, panorama_view
@@ -60,4 +60,4 @@ def panorama(
         unnamed = pictures.save_view(view, output)
     seen = len(view.sightings)
     named = "" if gazetteer is None else f", {seen} of {len(gazetteer)} peaks are seen"
-    terminal.line(f"{output}: {output.stat().st_size / 1e6:.1f} MB{named}{unnamed.named}")
+    terminal.line(f"{output}: {size_in_words(output.stat().st_size)}{named}{unnamed.named}")

@@ -10,7 +10,7 @@ import typer
 from typer import Argument
 
 from skyline.cli.options import AsJson, StoreFile, output_option
-from skyline.cli.terminal import Terminal
+from skyline.cli.terminal import Terminal, size_in_words
 from skyline.errors import InputError, printable
 from skyline.store.check import StoreReport, check_store
 from skyline.store.merge import merge_stores, repair_store
@@ -88,7 +88,7 @@ def export(
 
     with open_store(store) as opened:
         count = write_geopackage(opened, output)
-    Terminal.of(context).line(f"{output}: {count:,} places, {output.stat().st_size / 1e6:.1f} MB")
+    Terminal.of(context).line(f"{output}: {count:,} places, {size_in_words(output.stat().st_size)}")
 
 
 def _copied_in_words(report: StoreReport, path: Path) -> str:

@@ -38,6 +38,11 @@ _NOTE_EVERY_S = 10.0
 """Time between notes on the progress of a step without a bar."""
 
 
+def size_in_words(size: int) -> str:
+    """Return a number of bytes in kB, or from a million on in MB."""
+    return f"{size / 1e6:.1f} MB" if size >= 1e6 else f"{size / 1e3:.0f} kB"
+
+
 class Terminal:
     """Prints the results, notes, errors and progress of one command.
 

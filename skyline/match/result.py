@@ -16,7 +16,7 @@ from skyline.geodesy.map_frame import geodesic_m
 from skyline.match.prior import Narrowing
 from skyline.photo.noted_place import NOTHING_NOTED
 from skyline.photo.skyline import PhotoSkyline
-from skyline.pose import COLUMNS, ROUGHLY_WITHIN_M, Pose
+from skyline.pose import COLUMNS, ROUGHLY_WITHIN_M, WRITTEN, Pose
 
 if TYPE_CHECKING:
     from geopandas import GeoDataFrame
@@ -248,7 +248,7 @@ class MatchResult:
         """Return the best candidate and its verdict, as for ``--results``."""
         best = self.best
         exif = self.exif
-        row = {} if best is None else best.to_dict()
+        row = dict.fromkeys(WRITTEN) if best is None else best.to_dict()
         return row | {
             "photo": printable(self.name),
             "id": printable(self.id) or None,
@@ -281,7 +281,8 @@ class MatchResult:
     def to_dataframe(self) -> "DataFrame":
         """Return the candidates as a pandas DataFrame, one row each, best first."""
         pandas = library("pandas", "a DataFrame")
-        return pandas.DataFrame([one.to_dict() for one in self.candidates])
+        # Also a result without candidates has the columns.
+        return pandas.DataFrame([one.to_dict() for one in self.candidates], columns=[*WRITTEN])
 
     def to_geodataframe(self) -> "GeoDataFrame":
         """Return the candidates as points of a GeoDataFrame; see `skyline.to_geodataframe`."""

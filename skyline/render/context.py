@@ -23,7 +23,7 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 from functools import cache, partial, wraps
 from pathlib import Path
-from typing import Any, ParamSpec, Self, TypeVar
+from typing import Any, NoReturn, ParamSpec, Self, TypeVar
 from weakref import WeakValueDictionary
 
 import moderngl
@@ -339,6 +339,13 @@ class Closeable(ABC):
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+    def __reduce__(self) -> NoReturn:
+        name = type(self).__name__
+        raise InputError(
+            f"a {name} holds memory on the GPU, and cannot be copied or sent to another process; "
+            "make one there"
+        )
 
 
 class Renderer(Closeable):

@@ -17,7 +17,7 @@ from PIL.ExifTags import GPS, IFD, Base
 from PIL.TiffImagePlugin import IFDRational, ImageFileDirectory_v2
 
 from skyline.errors import InputError
-from skyline.files import write_with_folders
+from skyline.files import write_whole
 from skyline.photo.image import opened_image
 from skyline.photo.panorama import GPANO
 from skyline.photo.photo import read_photo
@@ -98,7 +98,7 @@ def write_located(source: str | Path, path: str | Path, candidate: Pose) -> None
         Image.fromarray(rgb).save(held, format="JPEG", quality=95)
         jpeg = held.getvalue()
     exif = _with_gps(exif.removeprefix(_EXIF), _gps(candidate), made_upright=not is_jpeg)
-    write_with_folders(Path(path), _with_exif(jpeg, _EXIF + exif))
+    write_whole(Path(path), _with_exif(jpeg, _EXIF + exif))
 
 
 def _gps(candidate: Pose) -> dict[int, object]:

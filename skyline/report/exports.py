@@ -26,7 +26,7 @@ import numpy as np
 from skyline.arrays import Float64Array, UInt8Array
 from skyline.camera import Projection
 from skyline.errors import InputError, printable, suffix_of
-from skyline.files import STANDARD, write_whole, write_with_folders
+from skyline.files import STANDARD, write_whole
 from skyline.geodesy.antimeridian import lonlat_rings
 from skyline.geodesy.map_frame import Frame
 from skyline.match.result import MatchResult, listed
@@ -290,7 +290,7 @@ def export_matches(
     if photos is not None and len(photos) != len(results):
         raise InputError(f"{len(photos)} photos are given for {len(results)} results")
     content = EXPORTS[suffix_of(path, EXPORTS)](path, results, frames, photos)
-    write_with_folders(path, content)
+    write_whole(path, content)
 
 
 def write_geopackage(store: Store, path: Path) -> int:

@@ -8,13 +8,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pyproj import CRS
 
 from skyline.arrays import Float64Array, IntArray
 from skyline.errors import InputError, suffix_of
 from skyline.files import write_whole
 from skyline.geodesy.bounds import in_turn
 from skyline.geodesy.crs import is_of_earth, other_world_in_words
-from skyline.horizons import LocalHorizons
+from skyline.local_horizons import LocalHorizons
 from skyline.tables import csv_lines
 
 
@@ -40,9 +41,39 @@ def write_horizons(horizons: LocalHorizons, path: Path) -> None:
     place would hold several, a surface, an unknown value, or a horizon of another world.
     """
     kind = kind_of_horizons(path)
-    if kind not in _OF_MANY:
-        _check_one(horizons, kind)
+    check_fit(path, len(horizons), horizons.has_surface, horizons.crs)
+    if kind not in _OF_MANY and not np.isfinite(horizons.elevation_deg).all():
+        raise InputError(
+            "the horizon is unknown at some azimuths; choose a place farther from the border of "
+            "the DEM, or write .csv or .json"
+        )
     write_whole(path, KINDS[kind](horizons.ravel()))
+
+
+def check_fit(path: Path, places: int, has_surface: bool, crs: CRS) -> None:
+    """Raise `InputError` unless a file can hold the horizons of some places.
+
+    So a command refuses them before it renders. Only ``.csv`` and ``.json`` hold several places, a
+    surface, and other worlds than the Earth.
+    """
+    kind = kind_of_horizons(path)
+    if kind in _OF_MANY:
+        return
+    if not is_of_earth(crs):
+        raise InputError(
+            f"{kind} is read by programs for the Earth, and the DEM is of "
+            f"{other_world_in_words(crs)}; write .csv or .json"
+        )
+    if places != 1:
+        raise InputError(
+            f"the file would hold {places} horizons, but {kind} holds one; give one place, "
+            "or write .csv or .json"
+        )
+    if has_surface:
+        raise InputError(
+            f"the file would hold two horizons, but {kind} holds one; leave --surface out, or "
+            "write .csv or .json"
+        )
 
 
 def horizon_csv(horizons: LocalHorizons) -> str:
@@ -95,30 +126,6 @@ def _json(horizons: LocalHorizons) -> str:
 
 def _known(value: np.floating[Any], digits: int) -> float | None:
     return round(float(value), digits) if np.isfinite(value) else None
-
-
-def _check_one(horizons: LocalHorizons, kind: str) -> None:
-    """Raise `InputError` unless there is one horizon of the Earth, known everywhere."""
-    if not is_of_earth(horizons.crs):
-        raise InputError(
-            f"{kind} is read by programs for the Earth, and the DEM is of "
-            f"{other_world_in_words(horizons.crs)}; write .csv or .json"
-        )
-    if len(horizons) != 1:
-        raise InputError(
-            f"the file would hold {len(horizons)} horizons, but {kind} holds one; give one place, "
-            "or write .csv or .json"
-        )
-    if horizons.has_surface:
-        raise InputError(
-            f"the file would hold two horizons, but {kind} holds one; leave --surface out, or "
-            "write .csv or .json"
-        )
-    if not np.isfinite(horizons.elevation_deg).all():
-        raise InputError(
-            "the horizon is unknown at some azimuths; choose a place farther from the border of "
-            "the DEM, or write .csv or .json"
-        )
 
 
 def _pvgis(horizons: LocalHorizons) -> str:

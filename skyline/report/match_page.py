@@ -10,11 +10,11 @@ from pathlib import Path
 
 from skyline.arrays import UInt8Array
 from skyline.errors import InputError, OffMapError
-from skyline.files import REPORT_PAGE, write_with_folders
+from skyline.files import REPORT_PAGE, write_whole
 from skyline.match.areas import terrain_at_hand
 from skyline.match.matcher import Matcher
 from skyline.match.result import MatchResult, listed
-from skyline.peaks import Peaks, Sighting
+from skyline.peaks import Peaks
 from skyline.photo.read import read_picture
 from skyline.photo.skyline import PhotoSkyline
 from skyline.pose import COLUMNS, Ellipse, Pose
@@ -24,6 +24,7 @@ from skyline.report.html import figures, page, picture, section, table, text
 from skyline.report.labels import UnnamedPeaks, encode_figure
 from skyline.report.maps import detail_area, draw_match_map, overview_area
 from skyline.report.overlay import draw_overlay
+from skyline.sightings import Sighting
 from skyline.store.layout import PACKAGE_VERSION
 from skyline.view import SeenPeak, Sight, Viewer, peaks_in_picture
 
@@ -100,9 +101,9 @@ def report_matches(
     path = folder / REPORT_PAGE
     try:
         # The page first: its mark says whose the other files are, should this be stopped.
-        write_with_folders(path, whole)
+        write_whole(path, whole)
         for name, content in pictures.items():
-            write_with_folders(folder / name, content)
+            write_whole(folder / name, content)
         export_matches(folder / CANDIDATES, results, matcher.frame)
     except InputError:
         if is_new:

@@ -14,9 +14,10 @@ from matplotlib.transforms import Bbox
 
 from skyline.arrays import Float32Array, Float64Array
 from skyline.errors import InputError
-from skyline.files import check_folder, write_whole, write_with_folders
+from skyline.files import check_folder, write_whole
 from skyline.paper.plan import CoveragePlan
 from skyline.paper.planners import Coverage
+from skyline.progress import Progress
 from skyline.render.depth import DepthRenderer
 from skyline.render.horizon import RenderConfig
 from skyline.report.labels import encode_figure, is_figure
@@ -36,12 +37,13 @@ def save_depth_pictures(
     folder: Path,
     config: RenderConfig,
     labels: Sequence[str] = (),
+    progress: Progress | None = None,
 ) -> None:
     """Save depth images (TIFF) and a picture of each viewpoint.
 
     Depths are float32 metres, inf for sky. The files are ``NNNN_heading_H.tif`` and ``NNNN.png``,
     numbered in the viewpoints' order; after the number comes the viewpoint's label, if it has one.
-    Raises as `check_depth_folder`.
+    ``progress`` is called after each viewpoint. Raises as `check_depth_folder`.
     """
     check_depth_folder(folder, len(viewpoints), labels)
     folder.mkdir(parents=True, exist_ok=True)
@@ -55,6 +57,8 @@ def save_depth_pictures(
             for heading in HEADINGS:
                 picture = cv2.imencode(".tif", images[heading])[1].tobytes()
                 write_whole(folder / f"{stem}_heading_{heading}.tif", picture)
+            if progress is not None:
+                progress(index + 1, len(viewpoints))
 
 
 def check_depth_folder(folder: Path, count: int, labels: Sequence[str] = ()) -> None:
@@ -146,7 +150,7 @@ def save_coverage_map(plan: CoveragePlan, path: Path) -> None:
         )
     bar = figure.colorbar(ScalarMappable(norm, "plasma"), ax=axes, shrink=0.8, pad=0.01)
     bar.set_label("largest tolerance area that holds a location (km²)")
-    write_with_folders(path, encode_figure(figure))
+    write_whole(path, encode_figure(figure))
 
 
 def _largest(coverage: Coverage) -> Float64Array:

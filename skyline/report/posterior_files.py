@@ -8,7 +8,7 @@ import numpy as np
 
 from skyline.arrays import Float64Array
 from skyline.errors import InputError, printable, suffix_of
-from skyline.files import GEOJSON, write_with_folders
+from skyline.files import GEOJSON, write_whole
 from skyline.geodesy.antimeridian import lonlat_rings
 from skyline.match.posterior import SHARES, Posterior
 from skyline.report.geojson import Json, collection, feature
@@ -49,14 +49,14 @@ def write_posteriors(
         if rasters and number:
             raise InputError(f"{rasters[0]} holds one photo; give one, or {GEOJSON[0]} or .kml")
         for path in rasters:
-            write_with_folders(path, _geotiff(posterior))
+            write_whole(path, _geotiff(posterior))
         if len(rasters) < len(kinds):
             features += [_feature(printable(photo), posterior, share) for share in SHARES]
     for path, kind in kinds.items():
         if kind == ".kml":
-            write_with_folders(path, _kml(features))
+            write_whole(path, _kml(features))
         elif kind in GEOJSON:
-            write_with_folders(path, json.dumps(collection(features)) + "\n")
+            write_whole(path, json.dumps(collection(features)) + "\n")
 
 
 def _feature(photo: str, posterior: Posterior, share: float) -> Json:
@@ -111,9 +111,8 @@ def _geotiff(posterior: Posterior) -> bytes:
     """Return the probability of each cell as a GeoTIFF."""
     return geotiff(
         posterior.probability[np.newaxis],
-        (posterior.west_m, posterior.north_m),
-        posterior.cell_m,
-        posterior.frame.wkt,
+        posterior.grid,
+        posterior.frame,
         names=["probability of the cell"],
         predictor="yes",
     )

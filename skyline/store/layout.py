@@ -304,7 +304,7 @@ def refuse_mismatch(
         if (a.frame_wkt, a.dem_digest) != (b.frame_wkt, b.dem_digest):
             compared["elevation model"] = _model(a), _model(b)
         compared["width"] = a.width, b.width
-        for key in sorted({*a.config, *b.config}):
+        for key in sorted({*a.config, *b.config} - {"width"}):
             one = a.config.get(key, "absent")
             other = b.config.get(key, "absent")
             if isinstance(one, dict) and isinstance(other, dict):

@@ -79,8 +79,9 @@ def write_store(
 def check_store_path(path: Path) -> None:
     """Check the path of a store that is to be written.
 
-    Raises `InputError` for ``-`` and for the suffix of another format, and `MissingFileError` if
-    there is no folder for it.
+    So a build is refused before it reads and renders. Raises `InputError` for ``-``, for the suffix
+    of another format and for a folder without the right to write, and `MissingFileError` if there
+    is no folder for it.
     """
     check_suffix(path, (".h5", ".hdf5"))
     _check_place(path)
@@ -92,6 +93,11 @@ def _check_place(path: Path) -> None:
     if not path.parent.is_dir():
         raise MissingFileError(
             f"store {path} cannot be created: folder {path.parent} does not exist; make it first"
+        )
+    if not os.access(path.parent, os.W_OK | os.X_OK):
+        raise InputError(
+            f"store {path} cannot be created: there are no rights to write in {path.parent}; name "
+            "a file in another folder"
         )
 
 

@@ -98,7 +98,7 @@ class PlacePlan:
 
     def __post_init__(self) -> None:
         if self.spacing_m is not None and self.places is not None:
-            raise InputError("give one of the spacing (a uniform grid) and the number of places")
+            raise InputError("give a spacing (for a uniform grid) or a number of places, not both")
         refuse_text(spacing_m=self.spacing_m, places=self.places)
         # JSON takes no NumPy numbers.
         for name, number in (("spacing_m", float), ("places", int), ("bounds_deg", check_bounds)):
@@ -189,7 +189,13 @@ class RenderingPlan:
         """Return the plan of given viewpoints."""
         eyes = viewpoints.easting_m, viewpoints.northing_m, viewpoints.eye_elevation_m
         digest = hashlib.sha256(b"".join(column.tobytes() for column in eyes)).hexdigest()
-        return cls(viewpoints, {"planner": "viewpoints", "viewpoints_digest": digest}, config)
+        # Each eye has a height of its own.
+        about: dict[str, object] = {
+            "planner": "viewpoints",
+            "viewpoints_digest": digest,
+            "eye_height_m": None,
+        }
+        return cls(viewpoints, about, config)
 
     @classmethod
     def uniform(
@@ -250,8 +256,8 @@ def header_of(
         dem_digest=terrain.digest,
         dem_files=terrain.provenance.files,
         config={
-            **settings,
             "eye_height_m": DEFAULT_EYE_HEIGHT_M,
+            **settings,
             "curvature": asdict(curvature),
             "dem_options": dict(terrain.provenance.options),
         },

@@ -142,9 +142,10 @@ def render_store(task: RenderTask, listener: Listener) -> BuildResult:
     with runner_of(task.workers) as runner, build_bar(task.output, "renderings", listener) as bar:
         result = build_store(terrain, task.output, plan, runner, bar)
     if task.depth_images is not None:
-        paper_pictures.save_depth_pictures(
-            terrain, plan.viewpoints, task.depth_images, config, labels
-        )
+        with listener.progress("drawing depth images") as drawn:
+            paper_pictures.save_depth_pictures(
+                terrain, plan.viewpoints, task.depth_images, config, labels, drawn
+            )
     return result
 
 

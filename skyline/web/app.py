@@ -151,8 +151,8 @@ class PageApp:
         index = request.path_params["index"]
         if index >= len(self._engine.photos):
             return Response(status_code=404)
-        given = self._engine.photos[index]
-        return await self._opened(session, given.name, partial(_copy, given))
+        name, given = list(self._engine.photos.items())[index]
+        return await self._opened(session, name, partial(_copy, given))
 
     async def _opened(
         self, session: Session, name: str, write: Callable[[Path], object]

@@ -47,7 +47,7 @@ class Engine:
         photos: Sequence[Path],
         peaks: Path | None,
     ) -> None:
-        self.photos = photos
+        self.photos = _by_name(photos)
         self.thread = RenderThread()
         self._dem = dem
         self._peaks = peaks
@@ -74,7 +74,7 @@ class Engine:
         """Return facts about the stores and photos that the command names."""
         return {
             "area": self.area and self.area.about,
-            "given": [shown_name(path.name) for path in self.photos],
+            "given": list(self.photos),
         }
 
     def area_for(self, photo: Path, narrowing: Narrowing, report: StepProgress) -> PageArea:
@@ -111,3 +111,16 @@ class Engine:
         for area in self.areas.values():
             area.close()
         self.thread.close()
+
+
+def _by_name(photos: Sequence[Path]) -> dict[str, Path]:
+    """Return photos by the names that the page shows and knows them by.
+
+    The second ``IMG.jpg``, of another folder, is ``IMG (2).jpg``.
+    """
+    named: dict[str, Path] = {}
+    for path in photos:
+        numbers = (f" ({count})" if count > 1 else "" for count in range(1, len(photos) + 1))
+        names = (shown_name(path.stem + number + path.suffix) for number in numbers)
+        named[next(name for name in names if name not in named)] = path
+    return named

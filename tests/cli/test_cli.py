@@ -78,6 +78,7 @@ def test_the_views_of_a_list_are_seen_from_its_viewpoints(dem, rendered):
     truth = oracle.skyline(terrain, eyes, 160)
     with open_store(rendered / "out.h5") as opened:
         views = opened.views()
+        assert opened.header.config["eye_height_m"] is None  # Each viewpoint has its own.
     assert len(views) == 12
     np.testing.assert_allclose(views.easting_m[::4], easting_m, atol=1e-3)
     np.testing.assert_allclose(views.eye_elevation_m[::4], eyes.eye_elevation_m, atol=1e-2)

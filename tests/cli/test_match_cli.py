@@ -361,8 +361,10 @@ def test_the_maps_of_a_walk_are_joined(run, store, dem, photo, tmp_path):
 
 def test_a_posterior_is_of_a_search(store):
     fitted = MatchResult(PhotoSkyline(np.full(40, 10.0), np.ones(40), 40, 30), (), 1.0)
-    with Matcher(store) as matcher, pytest.raises(InputError, match="the result of `match`"):
-        matcher.posterior(fitted)
+    with Matcher(store) as matcher:
+        for wrong in (fitted, [fitted]):
+            with pytest.raises(InputError, match="the result of `match`"):
+                matcher.posterior(wrong)
 
 
 @pytest.mark.slow

@@ -73,6 +73,12 @@ def test_h_is_help(run, command):
     assert "Usage" in short.out
 
 
+def test_help_fills_its_lines(run, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "200")
+    shown = run("horizon", "--help").ok().out
+    assert "With --photo, it follows the photo's skyline where the photo shows one." in shown
+
+
 def test_v_is_the_version(run):
     assert run("-v").ok().out == run("--version").out
 
@@ -130,7 +136,10 @@ MISTAKES = [
     ("build {dem} -o {renderings}", "is 'renderings' there, 'places' here"),
     ("build {dem} -o {out} --workers 0", "workers is 0; expected 1 or more"),
     ("build {dem} -o {out} --workers nonsense://x", "no dask scheduler answers"),
-    ("build {dem} -o {out} --places 400 --spacing 80", "give one of the spacing (a"),
+    (
+        "build {dem} -o {out} --places 400 --spacing 80",
+        "give a spacing (for a uniform grid) or a number",
+    ),
     ("build {dem} -o {out} --spacing 1e9", "choose a smaller spacing"),
     ("build {dem} -o {out} --bounds 46.74,10.32,46.75,10.34", "give 10.32,46.74,10."),
     ("build {dem} -o {tmp}/no/folder.h5", "folder"),
@@ -224,14 +233,14 @@ MISTAKES = [
     ),
     (
         "label {photo} --dem {dem} --peaks {peaks} -o {tmp}/n.json --pose {pose} --at {at}",
-        "leave --at, --elevation, --heading and --fov-deg out",
+        "leave --at, --elevation, --heading, --fov-deg and their errors out",
     ),
     (
         "label {photo} --pose {pose} --dem {dem} --peaks {peaks} -o {tmp}/n.gif",
         "is '.gif'; expected one of .png",
     ),
     (
-        "label {photo} --pose {pose} --dem {dem} --peaks {peaks} -o {tmp}/none/n.png",
+        "label {photo} --pose {pose} --dem {dem} --peaks {peaks} -o {photo}/n.png",
         "cannot be written",
     ),
     ("label {photo} --pose {pose} --dem {dem} --peaks {peaks} -o {pose}", "is an input"),

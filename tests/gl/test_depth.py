@@ -6,6 +6,8 @@ from scenes import field_from, field_of, fractal, scattered
 
 from skyline.geodesy.earth import Curvature
 from skyline.render.depth import QUANTIZATION_PX, DepthRenderer
+from skyline.render.horizon import RenderConfig
+from skyline.report.paper_pictures import save_depth_pictures
 from skyline.skylines import FLAG_HOLE, FLAG_NO_DATA, FLAG_OUT_OF_IMAGE
 from skyline.terrain.viewpoints import stand_on
 from skyline_bench.truth import oracle
@@ -76,3 +78,13 @@ def test_depth_of_a_plane_is_good_to_a_ten_thousandth(eye_height_m, is_hardware)
         assert (np.abs(image[seen] / expected[seen] - 1.0) < bound[seen]).all()
         # What is missing is beyond the border, or the sky.
         assert (expected[~seen] > 49_000.0).all()
+
+
+def test_pictures_tell_their_progress(tmp_path):
+    field = field_from(lambda e, n: 0.0 * e + 0.0 * n, 21, 10.0)
+    eyes = stand_on(field, easting_m=[0.0, 5.0], northing_m=[0.0, 0.0], eye_height_m=2.0)
+    told = []
+    save_depth_pictures(
+        field, eyes, tmp_path, RenderConfig(16), progress=lambda *done: told.append(done)
+    )
+    assert told == [(1, 2), (2, 2)]

@@ -57,6 +57,7 @@ def test_results_of_any_kind_are_a_table():
     assert table["lon"].isna()[2]
     assert table["id"][0] == "A"
     assert found.to_dataframe()["lat"].tolist() == [BEST.lat, OTHER.lat]
+    assert nothing.to_dataframe()["lat"].tolist() == []
     held = skyline.Orientation(SKYLINE, BEST, heading_sd_deg=0.1, confidence=0.9, name="d.jpg")
     row = held.to_dataframe().iloc[0]
     assert (row["heading_deg"], row["trusted"]) == (BEST.heading_deg, 1)
@@ -135,7 +136,7 @@ def test_a_geopackage_is_opened_by_gdal(place_store, tmp_path):
     ("kind", "name"),
     [
         ("place_store", "places.shp"),
-        ("place_store", "none/places.gpkg"),
+        ("place_store", "places.h5/places.gpkg"),
         ("view_store", "views.gpkg"),
     ],
 )

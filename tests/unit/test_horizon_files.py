@@ -4,13 +4,16 @@ import configparser
 import io
 import zipfile
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from skyline.errors import InputError
-from skyline.horizons import LocalHorizons, with_photo
-from skyline.report.horizon_files import write_horizons
+from skyline.geodesy.crs import WGS84
+from skyline.horizons import with_photo
+from skyline.local_horizons import LocalHorizons
+from skyline.report.horizon_files import check_fit, write_horizons
 
 
 def rising_to_the_east(step_deg=0.5, lat=46.75):
@@ -105,6 +108,12 @@ def test_files_of_one_horizon_refuse_several_or_unknown_ones(tmp_path, name):
     ):
         with pytest.raises(InputError, match=said):
             write_horizons(horizons, tmp_path / name)
+
+
+def test_what_a_file_cannot_hold_is_refused_before_it_is_rendered():
+    check_fit(Path("x.csv"), 2, True, WGS84)
+    with pytest.raises(InputError, match="would hold 2 horizons"):
+        check_fit(Path("x.txt"), 2, False, WGS84)
 
 
 def test_a_photos_skyline_replaces_the_horizon_where_it_is():

@@ -363,7 +363,7 @@ class TestResults:
         ("kind", "name", "said"),
         [
             ("places", "places.shp", r"expected one of \.gpkg"),
-            ("places", "none/places.gpkg", "cannot be written"),
+            ("places", "s.h5/places.gpkg", "cannot be written"),
             ("renderings", "views.gpkg", "renderings"),
         ],
     )

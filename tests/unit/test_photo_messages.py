@@ -62,11 +62,12 @@ class TestSkylines:
         assert_says(said, lambda: read_skyline("absent.jpg", fov_deg, projection=projection))
 
     def test_that_cannot_be_written(self, tmp_path):
-        picture, absent = np.zeros((100, 2, 3), np.uint8), tmp_path / "absent"
+        picture, file = np.zeros((100, 2, 3), np.uint8), tmp_path / "file"
+        file.touch()
         for write in (
-            lambda: write_trace(PLAIN, absent / "trace.csv"),
+            lambda: write_trace(PLAIN, file / "trace.csv"),
             lambda: write_trace(PLAIN, tmp_path),
-            lambda: write_overlay(picture, PLAIN, absent / "overlay.png"),
+            lambda: write_overlay(picture, PLAIN, file / "overlay.png"),
         ):
             assert_says("cannot be written", write)
         said = "is '.jpg'; expected one of .png"

@@ -165,7 +165,7 @@ def test_a_report_without_room_leaves_no_new_folder(tmp_path, monkeypatch):
     def full(path, _):
         raise InputError(f"{path} cannot be written: no space")
 
-    monkeypatch.setattr(exports, "write_with_folders", full)
+    monkeypatch.setattr(exports, "write_whole", full)
     (tmp_path / "old").mkdir()
     for name in ("new", "old"):
         with pytest.raises(InputError):

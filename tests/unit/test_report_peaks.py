@@ -11,8 +11,9 @@ from scenes import FRAME, candidate_at, field_from
 from skyline.errors import InputError, OffMapError
 from skyline.geodesy.earth import Curvature
 from skyline.geodesy.map_frame import Frame
-from skyline.peaks import Peaks, Sighting, read_peaks, visible_peaks
+from skyline.peaks import Peaks, read_peaks
 from skyline.photo.skyline import PhotoSkyline
+from skyline.sightings import Sighting, visible_peaks
 from skyline.terrain.viewpoints import stand_on
 from skyline.view import Viewer
 

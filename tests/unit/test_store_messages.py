@@ -31,6 +31,7 @@ from skyline.geodesy.map_frame import Frame
 from skyline.store.check import check_store
 from skyline.store.merge import merge_stores, repair_store
 from skyline.store.read import open_store, parts_folder
+from skyline.store.write import check_store_path
 
 
 def assert_refused(path, said):
@@ -180,6 +181,11 @@ class TestOutputs:
         out = tmp_path / "no" / "b.h5"
         assert_says("make it first", lambda: copy(path, out), MissingFileError)
         assert_says("make it first", lambda: write_rows(out, 0, 3), MissingFileError)
+
+    def test_that_may_not_be_written(self, tmp_path, monkeypatch):
+        """Before a DEM is read and rendered, as `build` and `render` check it first."""
+        monkeypatch.setattr(os, "access", lambda *_: False)
+        assert_says("no rights to write in", lambda: check_store_path(tmp_path / "s.h5"))
 
     def test_of_no_stores(self, tmp_path):
         assert_says("no stores", lambda: merge_stores([], tmp_path / "b.h5"))

@@ -100,6 +100,13 @@ def test_standard_input_is_read_and_its_kind_is_seen(monkeypatch):
             assert read_table("-", "").rows[0].label == "1"
 
 
+def test_missing_folders_of_a_file_are_made(tmp_path):
+    write_whole(tmp_path / "new" / "folder" / "a.csv", "one")
+    assert (tmp_path / "new" / "folder" / "a.csv").read_text() == "one"
+    with pytest.raises(InputError, match="cannot be written"):
+        write_whole(tmp_path / "new" / "folder" / "a.csv" / "b.csv", "two")
+
+
 def test_links_stay_and_pipes_are_written(tmp_path):
     (tmp_path / "first.csv").touch()
     link = tmp_path / "latest.csv"

@@ -479,6 +479,21 @@ def test_a_second_tab_follows_the_first(page, photo):
     page.until(lambda: page.find("#welcome").is_displayed())
 
 
+def test_a_search_that_another_tab_has_begun_can_be_cancelled(page, photo):
+    page.open(photo)
+    number = page.state("state.photo.id")
+
+    def told(done):
+        progress = {"photo": number, "step": "fitting", "share": 0.5, "done": done}
+        page.of("state", f"it.emit('progress', {json.dumps(progress)})")
+
+    told(False)
+    assert page.find("#cancel").is_displayed()
+    assert not page.find("#find").is_enabled()
+    told(True)
+    page.until(lambda: page.find("#find").is_enabled())
+
+
 def test_a_bad_photo_is_one_line_and_a_reload_keeps_the_good_one(page, photo, tmp_path):
     text = tmp_path / "letter.jpg"
     text.write_text("no photo")
@@ -497,6 +512,30 @@ def test_a_bad_photo_is_one_line_and_a_reload_keeps_the_good_one(page, photo, tm
     page.until(lambda: page.find("#answer").text == answer)
 
 
+def test_a_photo_that_is_dropped_twice_is_one_photo(page, photo, tmp_path):
+    again = tmp_path / "again.jpg"
+    again.write_bytes(photo.read_bytes())
+    page.open(photo)
+    page.drop(again)
+    page.until(lambda: page.find("#status").text == "again.jpg is open already")
+    assert page.state("state.photos.map((one) => one.name)") == ["photo.jpg"]
+
+
+def test_a_place_is_read_as_it_is_written_or_not_at_all(page):
+    """Half of a place would be another place, without a word."""
+    for text, place in (
+        ("46.8, -9.84", [46.8, -9.84]),
+        ("46.8° N 9.84 W", [46.8, -9.84]),
+        ("S33.5 W70.2", [-33.5, -70.2]),
+        ("−33.5, −70.2", [-33.5, -70.2]),
+        ("9.84 E, 46.8 N", [46.8, 9.84]),
+        ("33.5 S 70.2 O", None),
+        ("46,8 9,84", None),
+    ):
+        found = f"it.placeIn({json.dumps(text)})"
+        assert page.of("known", f"{found} && [{found}.lat, {found}.lon]") == place, text
+
+
 def test_many_photos_are_found_in_turn_and_say_where_they_were(page, photo, dem, tmp_path):
     place = candidate_at(602_500.0, 5_178_500.0, 33.0, frame=read_dem([dem]).frame)
     located = tmp_path / "located.jpg"
@@ -513,6 +552,13 @@ def test_many_photos_are_found_in_turn_and_say_where_they_were(page, photo, dem,
     page.click("#near-known")
     near = page.of("known", "it.known().near")
     assert near[:2] == pytest.approx([place.lon, place.lat], abs=1e-5)
+    # While the server is silent, the answer of one photo does not stand under another.
+    page.script("window.asked = window.fetch; window.fetch = () => new Promise(() => {})")
+    assert "Found" in page.find("#answer").text
+    page.click("#photos li:first-child .pick")
+    assert page.find("#answer").text == ""
+    assert not page.find("#find").is_enabled()
+    page.script("window.fetch = window.asked")
     page.click("#photos li:first-child .pick")
     page.until(lambda: page.state("state.photo.name") == "photo.jpg")
     page.settled()

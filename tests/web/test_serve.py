@@ -88,11 +88,13 @@ def test_two_stores_are_served_as_one(run, dem, photo, tmp_path):
         stores, ("10.32,46.74,10.33,46.755", "10.33,46.74,10.34,46.755"), strict=True
     ):
         built(run, dem, store, bounds)
-    with serving(*stores, photo) as server:
+    other = tmp_path / photo.name
+    other.write_bytes(photo.read_bytes())
+    with serving(*stores, photo, other) as server:
         about = server.ask("GET", "/state")[1]
     about |= about["area"]
     assert about["store"] == "west.h5, east.h5"
-    assert about["given"] == ["photo.jpg"]
+    assert about["given"] == ["photo.jpg", "photo (2).jpg"]
     assert about["places"] == pytest.approx(whole.rows, rel=0.2)
 
 

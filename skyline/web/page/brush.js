@@ -284,7 +284,7 @@ export function start() {
   document.addEventListener("keydown", (event) => {
     // The photo's keys work on the whole page; letters of tools also while a button has the focus.
     const isTool = KEYS[event.key.toLowerCase()] && !event.ctrlKey && !event.metaKey;
-    if (event.target === document.body || (isTool && !event.target.matches("#photo, input[type=number], input[type=text]"))) pressed(event);
+    if (event.target === document.body || (isTool && !event.target.matches("#photo, select, input[type=number], input[type=text]"))) pressed(event);
   });
   on("connected", send);
   on("pinch", pinched);

@@ -9,6 +9,7 @@ const STEPS = { waiting: "waiting for another search", screening: "comparing all
   "fetching tiles": "fetching elevation", "building the store": "rendering the area's skylines" };
 
 const CANCELLED = "cancelled";
+const IDLE = ["ready", "answered", "no answer"];
 const awaited = new Set(); // photos whose searches this page has begun
 
 // Returns false if the search was cancelled.
@@ -84,13 +85,14 @@ export function choose(index) {
 
 function show() {
   const { photo } = state;
+  const isLoading = !state.rows;
   const busy = photo?.state === "matching";
   // What a person says about the camera may widen what is seen.
   const lacks = state.lacks && !("fov_deg" in known()) ? state.lacks : null;
-  $("find").disabled = !photo || busy || Boolean(lacks);
+  $("find").disabled = isLoading || busy || Boolean(lacks);
   $("progress").hidden = !busy;
   $("find-hint").hidden = Boolean(!photo || photo.area || busy);
-  $("answer").replaceChildren(...(busy ? [] : lacks ? missing(lacks) : photo?.result ? verdict(standing()) : []));
+  $("answer").replaceChildren(...(busy || isLoading ? [] : lacks ? missing(lacks) : photo?.result ? verdict(standing()) : []));
   list(busy ? [] : standing()?.candidates ?? []);
 }
 
@@ -139,6 +141,11 @@ function row({ pose }, index) {
 
 function progressed(match) {
   const photo = state.photos.find((one) => one.id === match.photo);
+  if (!match.done && IDLE.includes(photo?.state)) {
+    photo.state = "matching"; // Another tab has begun this search, and either may cancel it.
+    emit("states");
+    show();
+  }
   if (match.done && photo?.state === "matching" && !awaited.has(photo)) rejoin(photo);
   if (!photo || photo !== state.photo || match.done) return;
   $("bar").value = match.share;
@@ -169,6 +176,6 @@ export function start() {
   on("photo", (photo) => {
     show();
     if (photo?.result) choose(0);
-    toView(photo?.result ? "answer" : "find");
+    if (photo) toView(photo.result ? "answer" : "find");
   });
 }

@@ -7,10 +7,17 @@ const MOST_KM = 100;
 const NOTHING = { heading_deg: null, near: null, elevation_m: null, eye_height_m: null };
 // Numbers that a slider's steps would round; each holds until its slider is moved.
 const exact = {};
+const last = {}; // the numbers that the fields have had last
 // Whether the user gave the circle. A circle from a photo's own position belongs to that photo.
 let isGiven = false;
 
-const value = (id) => exact[id] ?? $(id).valueAsNumber;
+// A field that is emptied keeps its number, and shows it again when it is left.
+function value(id) {
+  const number = exact[id] ?? $(id).valueAsNumber;
+  if (Number.isFinite(number)) last[id] = number;
+  return last[id];
+}
+
 const isKnown = (name) => $(`${name}-known`).checked;
 const isHeightKnown = () => $("eye").value !== "";
 // The radius of the circle, rounded as it is shown.
@@ -58,12 +65,24 @@ function show() {
 
 const inWords = ({ lat, lon }) => `${lat.toFixed(5)}, ${lon.toFixed(5)}`;
 
-// Reads a latitude and a longitude as people write and copy them: 46.8, -9.84 or 46.8 N 9.84 W.
-function placeIn(text) {
-  const parts = [...text.matchAll(/(-?\d+(?:\.\d+)?)\s*°?\s*([NSEW]?)/gi)].map(([, number, side]) =>
-    /[sw]/i.test(side) ? -number : Number(number));
-  const [lat, lon] = parts;
-  return parts.length === 2 && Math.abs(lat) <= 90 && Math.abs(lon) <= 180 ? { lat, lon } : null;
+const numberOf = (name) => `(?<${name}>-?\\d+(?:\\.\\d+)?)\\s*°?`;
+const PLACES = [
+  `^${numberOf("one")}\\s*(?<side>[NSEW]?)[\\s,;]+${numberOf("other")}\\s*(?<across>[NSEW]?)$`,
+  `^(?<side>[NSEW])\\s*${numberOf("one")}[\\s,;]+(?<across>[NSEW])\\s*${numberOf("other")}$`,
+].map((one) => new RegExp(one, "i"));
+
+// Reads a place as people write and copy it: 46.8, -9.84, 46.8 N 9.84 W or W 9.84, N 46.8. Without
+// letters the latitude is the first. What is read only in part would be another place: null.
+export function placeIn(text) {
+  const plain = text.trim().replaceAll("−", "-");
+  const found = PLACES.map((one) => plain.match(one)).find(Boolean)?.groups;
+  if (!found) return null;
+  const { one, side, other, across } = found;
+  const isSwapped = /[ew]/i.test(side) || /[ns]/i.test(across);
+  if (isSwapped && (/[ns]/i.test(side) || /[ew]/i.test(across))) return null;
+  const signed = [[one, side], [other, across]].map(([number, of]) => /[sw]/i.test(of) ? -Math.abs(number) : Number(number));
+  const [lat, lon] = isSwapped ? signed.reverse() : signed;
+  return Math.abs(lat) <= 90 && Math.abs(lon) <= 180 ? { lat, lon } : null;
 }
 
 function typed() {
@@ -91,7 +110,7 @@ function summary() {
     isKnown("fov") && `${degrees("fov")} wide`,
     isKnown("heading") && `towards ${degrees("heading")}`,
     isKnown("near") && `within ${radiusKm()} km`,
-    isKnown("elevation") && `${$("low").value} to ${$("high").value} m`,
+    isKnown("elevation") && `${value("low")} to ${value("high")} m`,
     isHeightKnown() && `${$("eye").value} m above the ground`,
   ].filter(Boolean);
   const offered = state.photo?.lonlat_deg && !isKnown("near")
@@ -100,7 +119,7 @@ function summary() {
 }
 
 // Shows the circle on the map, if it limits the search; its middle moves to a place that is given.
-export function showCircle(middle = null) {
+function showCircle(middle = null) {
   if (middle) state.circle = middle;
   emit("circle", isKnown("near") ? radiusKm() : null);
   show();
@@ -165,6 +184,7 @@ export function start() {
       id === "radius" ? showCircle() : show();
     };
   }
+  for (const id of ["low", "high"]) $(id).onchange = () => ($(id).value = value(id));
   $("near-known").onchange = () => {
     isGiven = true;
     showCircle();

@@ -69,6 +69,8 @@ export async function choose(photo) {
   if (["waiting", "opening", ...LOST].includes(photo.state)) return;
   if (!photo.id && !(await open(photo, () => server.openGiven(photo.given)).catch(() => false))) return;
   setPhoto(photo);
+  emit("photo", null); // What is shown of the last photo is not of this one.
+  showStatus("");
   setArea(photo.area);
   forget();
   loading = true;
@@ -165,8 +167,15 @@ async function openWaiting() {
     if (photo.state !== "waiting" || !state.photos.includes(photo)) continue;
     if (!(await open(photo, () => server.upload(photo.file)).catch(() => false))) continue;
     state.photos = state.photos.filter((one) => one.state !== "missing" || one.content !== photo.content);
+    const same = state.photos.find((one) => one !== photo && one.content === photo.content && server.isOpen(one));
+    if (same) {
+      // The browser keeps the strokes of both as one.
+      await server.remove(photo).catch((error) => report(error, "photo"));
+      leaveOut(photo);
+    }
     server.tellOthers();
-    if (first) await choose(photo);
+    if (first) await choose(same ?? photo);
+    if (first && same) showStatus(`${photo.name} is open already`);
     first = false;
   }
 }
