@@ -44,6 +44,8 @@ _ROUNDED_MM = 1.0 / sqrt(12.0)
 _COVERED_SD = 0.1
 """Least standard deviation of the logarithm of a focal length that covers several different
 ones."""
+_CAMERA_RAW = "http://ns.adobe.com/camera-raw-settings/1.0"
+"""Namespace of the settings of Lightroom and Camera Raw."""
 _MM_PER_UNIT = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
 """FocalPlaneResolutionUnit: inch (also if absent), centimetre, millimetre, micrometre."""
 
@@ -139,6 +141,15 @@ def _fov_deg(width: float, diagonals: float) -> float:
     return 2.0 * degrees(atan(width / 2.0 / diagonals))
 
 
+def _was_cropped(xmp: Xmp) -> bool:
+    """Return whether XMP notes a crop by Lightroom or Camera Raw that the pixels show.
+
+    A crop that is only noted, in a file that was not exported, is not applied.
+    """
+    noted = xmp.of(_CAMERA_RAW)
+    return all(noted.get(name, "").lower() == "true" for name in ("HasCrop", "AlreadyApplied"))
+
+
 def camera_of(tags: Tags, xmp: Xmp, size_px: tuple[int, int]) -> tuple[Projection, Lens]:
     """Return the projection and the lens that a photo notes.
 
@@ -150,14 +161,15 @@ def camera_of(tags: Tags, xmp: Xmp, size_px: tuple[int, int]) -> tuple[Projectio
     swept = swept_lens_of(tags, size_px)
     if swept is not None:
         return Projection.CYLINDRICAL, swept
-    return Projection.PERSPECTIVE, lens_of(tags, size_px)
+    return Projection.PERSPECTIVE, lens_of(tags, size_px, _was_cropped(xmp))
 
 
-def lens_of(tags: Tags, size_px: tuple[int, int]) -> Lens:
+def lens_of(tags: Tags, size_px: tuple[int, int], is_cropped: bool = False) -> Lens:
     """Return the lens that a photo's EXIF notes.
 
     ``tags`` has the values of both the main and the Exif directory. ``size_px`` is the width and
-    the height of the file's pixels, upright.
+    the height of the file's pixels, upright. ``is_cropped`` says that a program has cropped the
+    photo, even if its shape does not.
     """
     sensor = sensor_of(text_of(tags, Base.Model))
     noted, frame = frames_of(tags, size_px, sensor)
@@ -179,7 +191,7 @@ def lens_of(tags: Tags, size_px: tuple[int, int]) -> Lens:
         return Lens(reason=f"{source}: {fov_deg:.2g} degrees, which fit no photo")
     fov_sd_deg = None if focal.sd is None else degrees(focal.sd * sin(radians(fov_deg)))
     widest_deg = _fov_deg(width, focal.diagonals * exp(-2.0 * (focal.sd or 0.0)))
-    if is_whole(size_px, frame) or is_unscaled(size_px, frame):
+    if not is_cropped and (is_whole(size_px, frame) or is_unscaled(size_px, frame)):
         most_fov_deg = widest_deg if focal.readings else None
         reason = "; ".join([source, *against])
         crop_share = _crop_share(tags, size_px, noted, focal)

@@ -7,7 +7,7 @@ from PIL.TiffImagePlugin import IFDRational
 
 from skyline.camera import Projection
 from skyline.match.rays import Rays
-from skyline.photo.noted_fov import lens_of
+from skyline.photo.noted_fov import camera_of, lens_of
 from skyline.photo.panorama import GPANO, panorama_of_xmp, swept_lens_of
 from skyline.photo.skyline import Lens
 from skyline.photo.xmp import Xmp
@@ -48,6 +48,17 @@ def test_a_panorama_of_a_phone_is_as_wide_as_its_height_says():
     upwards = swept_lens_of(tags, (2500, 8000))
     assert (upwards.fov_deg, "up or down" in upwards.reason) == (None, True)
     assert swept_lens_of(tags | {Base.CustomRendered: 0}, (8000, 2500)) is None
+
+
+@pytest.mark.parametrize(("applied", "share"), [("True", 0.75), ("False", 1.0)])
+def test_a_crop_that_lightroom_notes_leaves_half_to_all_of_the_frame(applied, share):
+    """28 mm on a frame of 4:3 see 63.4 degrees."""
+    space = "http://ns.adobe.com/camera-raw-settings/1.0"
+    xmp = Xmp({(space, "HasCrop"): "True", (space, "AlreadyApplied"): applied})
+    tags = {Base.FocalLengthIn35mmFilm: 28}
+    _, lens = camera_of(tags, xmp, (4000, 3000))
+    assert lens.fov_deg == pytest.approx(share * 63.44, abs=0.01)
+    assert ("was cropped from 63.4 degrees" in lens.reason) == (share < 1.0)
 
 
 def test_sources_that_contradict_one_another_widen_what_is_possible():
