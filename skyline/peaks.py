@@ -14,7 +14,7 @@ import numpy as np
 from skyline.arrays import Float64Array, ShortRepr
 from skyline.errors import InputError, printable, swapped_in_words
 from skyline.files import GEOJSON, read_bytes
-from skyline.geodesy.crs import WGS84, crs_of_geojson, transformer
+from skyline.geodesy.crs import WGS84, crs_of_positions, transformer
 from skyline.geodesy.earth import GROUND_M
 from skyline.geodesy.map_frame import Frame
 from skyline.tables import Row, read_table
@@ -196,7 +196,7 @@ def _of_geojson(path: str | Path) -> list[_Point]:
             f"gazetteer {path} cannot be read ({error}); expected GeoJSON: a FeatureCollection of "
             "points with the property `name`"
         ) from None
-    crs = crs_of_geojson(path, read.get("crs") if isinstance(read, dict) else None)
+    crs = crs_of_positions(path, read.get("crs") if isinstance(read, dict) else None)
     if not crs.is_geographic:
         raise InputError(
             f"gazetteer {path} has the coordinate system {printable(crs.name)}; expected degrees "

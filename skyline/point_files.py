@@ -9,14 +9,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from pyproj import CRS, Transformer
-from pyproj.exceptions import CRSError
 
 from skyline.arrays import BoolArray, Float64Array
 from skyline.camera import in_picture
 from skyline.errors import InputError, check_suffix, printable
 from skyline.files import write_whole
 from skyline.geodesy.bounds import are_degrees
+from skyline.geodesy.crs import WGS84, crs_of_positions, transformer
 from skyline.tables import Table, csv_lines, read_table
 from skyline.vectors import not_upright
 
@@ -115,14 +114,8 @@ def _of_qgis(path: Path, table: Table, named: Sequence[str]) -> ControlPoints:
     )
     crs = next(filter(None, map(_QGIS_CRS.match, table.notes)), None)
     if crs is not None:
-        try:
-            transformer = Transformer.from_crs(CRS.from_user_input(crs[1]), 4326, always_xy=True)
-        except CRSError:
-            raise InputError(
-                f"{path} names a CRS that is not known ({printable(crs[1])[:60]}); choose another "
-                "target CRS in QGIS"
-            ) from None
-        x, y = (np.asarray(part) for part in transformer.transform(x, y))
+        to_wgs84 = transformer(crs_of_positions(path, crs[1]), WGS84)
+        x, y = (np.asarray(part) for part in to_wgs84.transform(x, y))
     off = [k for k, place in enumerate(zip(x, y, strict=True)) if not are_degrees(*place)]
     if off:
         raise InputError(

@@ -283,11 +283,11 @@ def _in_degrees(path: Path, shapes: list[Shape], crs: Any) -> list[Shape]:
         return shapes
     from skyline.geodesy.crs import (  # noqa: PLC0415  (slow to load)
         WGS84,
-        crs_of_geojson,
+        crs_of_positions,
         transformer,
     )
 
-    to_wgs84 = transformer(crs_of_geojson(path, crs), WGS84)
+    to_wgs84 = transformer(crs_of_positions(path, crs), WGS84)
     return [_moved(one, lambda xy: np.stack(to_wgs84.transform(*xy.T), axis=1)) for one in shapes]
 
 

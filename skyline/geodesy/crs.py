@@ -79,11 +79,12 @@ def parse_crs(crs: object) -> CRS:
         ) from error
 
 
-def crs_of_geojson(path: object, named: Any) -> CRS:
-    """Return the CRS in a GeoJSON's member ``crs``; WGS 84 without one.
+def crs_of_positions(path: object, named: Any) -> CRS:
+    """Return the CRS that a file of positions names; WGS 84 for none.
 
-    The member is of 2008: ``name`` with the CRS's name, or ``EPSG`` with its code. Raises
-    `InputError` for any other.
+    The name may stand alone, or in GeoJSON's member ``crs`` of 2008: ``name`` with the CRS's name,
+    or ``EPSG`` with its code. Raises `InputError` for any other, and for a CRS that is neither
+    geographic nor projected.
     """
     if named is None:
         return WGS84
@@ -91,12 +92,18 @@ def crs_of_geojson(path: object, named: Any) -> CRS:
     about = about if isinstance(about, Mapping) else {}
     name = about.get("name", f"EPSG:{about['code']}" if "code" in about else None)
     try:
-        return CRS.from_user_input(str(name))
+        crs = CRS.from_user_input(str(name))
     except CRSError:
         raise InputError(
             f"{path} names the CRS {printable(str(name or named))[:60]}, which is not known; write "
             "the coordinates in degrees (WGS 84)"
         ) from None
+    if not (crs.is_geographic or crs.is_projected):
+        raise InputError(
+            f"{path} names {printable(crs.name)}, a {crs.type_name}; expected a geographic or "
+            "projected CRS: write the coordinates in degrees (WGS 84)"
+        )
+    return crs
 
 
 def transformer(source: CRS, target: CRS) -> Transformer:

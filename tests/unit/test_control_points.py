@@ -252,6 +252,8 @@ def test_points_are_read_as_they_are_written(tmp_path, suffix):
         ("p.csv", "column_px,row_px,lon,lat\n1,2,9,146\n"),
         ("p.points", "mapX,mapY,sourceX,sourceY,enable\n500000,5094000,1,-2,1\n"),
         ("p.points", "mapX,mapY,sourceX,sourceY,enable\n9,46,1,-2,FALSE\n"),
+        ("p.points", "#CRS: EPSG:5773\nmapX,mapY,sourceX,sourceY\n9,46,1,-2\n"),
+        ("p.points", "#CRS: IAU_2015:30100\nmapX,mapY,sourceX,sourceY\n9,46,1,-2\n"),
         ("p.points", "#CRS: nowhere\nmapX,mapY,sourceX,sourceY,enable\n9,46,1,-2,1\n"),
         ("p.txt", "column_px,row_px,lon,lat\n1,2,9,46\n"),
     ],

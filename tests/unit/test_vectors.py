@@ -72,6 +72,15 @@ def test_an_older_crs_is_carried_to_degrees(read):
         np.testing.assert_allclose(found.shapes[0].rings[0], [[9.0, 46.0]], atol=0.01)
 
 
+@pytest.mark.parametrize(
+    ("crs", "kind"), [("EPSG:4978", "Geocentric CRS"), ("EPSG:5773", "Vertical CRS")]
+)
+def test_a_crs_without_a_map_is_refused(read, crs, kind):
+    named = {"type": "name", "properties": {"name": crs}}
+    with pytest.raises(InputError, match=f"a {kind}; expected a geographic or projected CRS"):
+        read("a.geojson", collection(feature("Point", [9.0, 46.0]), crs=named))
+
+
 def test_annotations_of_labelme(read):
     shapes = [
         {"label": "lake", "points": SQUARE, "shape_type": "polygon"},
