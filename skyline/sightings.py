@@ -73,10 +73,29 @@ def visible_peaks(
 ) -> list[Sighting]:
     """Return the peaks visible to one eye, in the gazetteer's order.
 
-    Peaks off the terrain are left out, since the terrain that may hide them is unknown.
+    Peaks off the terrain are left out, since the terrain that may hide them is unknown. A warning
+    counts the heights that `aimed_at` leaves out.
     """
     aimed = aimed_at(terrain, eye, peaks, curvature)
+    _warn_of_heights(aimed, peaks)
     return [one for one in aimed if one is not None and _is_seen(terrain, eye, one, curvature)]
+
+
+def _warn_of_heights(aimed: Sequence[Sighting | None], peaks: Peaks) -> None:
+    """Log a warning that counts the heights that `aimed_at` has left out."""
+    left_out = [
+        (one, height_m)
+        for one, height_m in zip(aimed, peaks.height_m.tolist(), strict=True)
+        if one is not None and math.isnan(one.height_m) and not math.isnan(height_m)
+    ]
+    if left_out:
+        first, height_m = left_out[0]
+        _log.warning(
+            "%d of %d peaks have heights that differ by more than %g m from the terrain (the first "
+            "is %s, %.0f m high, on ground of %.0f m), so they are shown without one; expected "
+            "metres, or a unit, such as 14505 ft",
+            *(len(left_out), len(peaks), _OTHER_HEIGHT_M, first.name, height_m, first.surface_m),
+        )
 
 
 def aimed_at(
@@ -85,10 +104,9 @@ def aimed_at(
     """Return where one eye would see each peak if nothing hid it.
 
     None stands for a peak off the terrain. A height that contradicts the terrain, such as one in
-    feet, is left out, and one warning counts these heights.
+    feet, is left out.
     """
     aimed: list[Sighting | None] = []
-    other: list[tuple[str, float, float]] = []
     for index, name in enumerate(peaks.names):
         summit = summit_near(terrain, peaks.easting_m[index], peaks.northing_m[index])
         if summit is None:
@@ -101,7 +119,6 @@ def aimed_at(
         up_m = surface_m - float(eye.eye_elevation_m[0]) - float(curvature.drop_m(distance_m))
         height_m = float(peaks.height_m[index])
         if abs(height_m - surface_m) > _OTHER_HEIGHT_M:
-            other.append((name, height_m, surface_m))
             height_m = math.nan
         aimed.append(
             Sighting(
@@ -115,13 +132,6 @@ def aimed_at(
                 distance_m=distance_m,
                 height_m=height_m,
             )
-        )
-    if other:
-        _log.warning(
-            "%d of %d peaks have heights that differ by more than %g m from the terrain (the first "
-            "is %s, %.0f m high, on ground of %.0f m), so they are shown without one; expected "
-            "metres, or a unit, such as 14505 ft",
-            *(len(other), len(peaks), _OTHER_HEIGHT_M, *other[0]),
         )
     return aimed
 
