@@ -189,8 +189,11 @@ class RenderingPlan:
         """Return the plan of given viewpoints."""
         eyes = viewpoints.easting_m, viewpoints.northing_m, viewpoints.eye_elevation_m
         digest = hashlib.sha256(b"".join(column.tobytes() for column in eyes)).hexdigest()
-        # Each eye has a height of its own.
-        about = {"planner": "viewpoints", "viewpoints_digest": digest, "eye_height_m": None}
+        about: dict[str, object] = {
+            "planner": "viewpoints",
+            "viewpoints_digest": digest,
+            "eye_height_m": None,  # Each viewpoint has its own.
+        }
         return cls(viewpoints, about, config)
 
     @classmethod
