@@ -9,6 +9,7 @@ from .errors import OffMapError as OffMapError
 from .errors import SkylineError as SkylineError
 from .errors import StoreError as StoreError
 from .errors import StoreMismatchError as StoreMismatchError
+from .geodesy.cell_grid import CellGrid as CellGrid
 from .geodesy.earth import Curvature as Curvature
 from .geodesy.map_frame import Frame as Frame
 from .grids import horizon_grid as horizon_grid
@@ -17,8 +18,8 @@ from .ground import GroundErrors as GroundErrors
 from .ground import GroundPixels as GroundPixels
 from .ground import GroundPoints as GroundPoints
 from .ground import GroundView as GroundView
-from .horizons import LocalHorizons as LocalHorizons
 from .horizons import horizon as horizon
+from .local_horizons import LocalHorizons as LocalHorizons
 from .location import locate as locate
 from .match.areas import MatchedArea as MatchedArea
 from .match.config import MatchConfig as MatchConfig
@@ -46,6 +47,7 @@ from .photo.strokes import Stroke as Stroke
 from .photo.strokes import StrokeKind as StrokeKind
 from .photo.trace import read_trace as read_trace
 from .photo.trace import write_trace as write_trace
+from .pixel_places import PixelPlaces as PixelPlaces
 from .pose import Ellipse as Ellipse
 from .pose import Pose as Pose
 from .render.context import RenderThread as RenderThread
@@ -81,7 +83,6 @@ from .terrain.provenance import Provenance as Provenance
 from .terrain.viewpoints import Viewpoints as Viewpoints
 from .terrain.viewpoints import stand_at as stand_at
 from .terrain.viewpoints import stand_on as stand_on
-from .view import PixelPlaces as PixelPlaces
 from .view import SeenBody as SeenBody
 from .view import SeenPeak as SeenPeak
 from .view import Sight as Sight

@@ -12,11 +12,11 @@ import numpy as np
 
 from skyline.arrays import BoolArray, Float64Array
 from skyline.errors import InputError
-from skyline.geodesy.bounds import in_turn
+from skyline.geodesy.bounds import Circle, in_turn
 from skyline.geodesy.earth import Curvature
-from skyline.peaks import SUMMIT_RADIUS_M, summit_near
 from skyline.sun import Body, Sky, minutes_of
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.summits import SUMMIT_RADIUS_M, summit_near
 
 DEFAULT_WITHIN_KM = 5.0
 _ROUNDS = 3
@@ -51,36 +51,20 @@ class Standpoint:
     elevation_deg: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Circle:
-    """The circle of places that a person can reach.
-
-    Attributes
-    ----------
-    lon, lat : float
-        Its middle, degrees (WGS 84).
-    radius_m : float
-    """
-
-    lon: float
-    lat: float
-    radius_m: float
-
-
 def standpoints(
     terrain: HeightField,
     summit_deg: tuple[float, float],
     day: date,
     body: Body,
-    area: Circle,
+    within: Circle,
     *,
     eye_height_m: float,
     curvature: Curvature,
 ) -> list[Standpoint]:
-    """Return where a body stands over a summit, minute by minute.
+    """Return where in a circle a body stands over a summit, minute by minute.
 
     The summit is the highest sample near a longitude and latitude. Ground nearer than 150 m to it
-    hides nothing, as for `skyline.peaks`. The day is the 24 hours around noon of the mean sun.
+    hides nothing, as for `skyline.sightings`. The day is the 24 hours around noon of the mean sun.
 
     Raises `InputError` where the summit is off the map, or PyEphem is not installed.
     """
@@ -92,16 +76,17 @@ def standpoints(
             "DEM that reaches to it"
         )
     summit_m = np.array(found)
-    middle_m = np.array(terrain.frame.from_lonlat(area.lon, area.lat))
+    *middle, radius_m = terrain.frame.circle_m(within)
+    middle_m = np.array(middle)
     to_middle_m = middle_m - summit_m[:2]
-    far_m = float(np.hypot(*to_middle_m)) + area.radius_m
+    far_m = float(np.hypot(*to_middle_m)) + radius_m
     times = minutes_of(day, summit_deg[0])
     places_m = np.broadcast_to(summit_m, (len(times), 3))
     away_m = np.zeros(len(times))
     for _ in range(_ROUNDS):
         seen_deg = _seen_from(terrain, places_m, body, times)
         back_rad = np.radians(seen_deg[:, 2] + 180.0)
-        may_reach = _reaches(back_rad, to_middle_m, area.radius_m) & (seen_deg[:, 1] > 0.0)
+        may_reach = _reaches(back_rad, to_middle_m, radius_m) & (seen_deg[:, 1] > 0.0)
         times = [at for at, may in zip(times, may_reach, strict=True) if may]
         seen_deg, back_rad = seen_deg[may_reach], back_rad[may_reach]
         away_m = _shadow_m(
@@ -115,7 +100,7 @@ def standpoints(
         tip_m = summit_m[:2] + away_m[:, np.newaxis] * toward
         ground_m = terrain.height_at(easting_m=tip_m[:, 0], northing_m=tip_m[:, 1])
         places_m = np.column_stack([tip_m, ground_m + eye_height_m])
-    is_near = np.hypot(*(places_m[:, :2] - middle_m).T) <= area.radius_m
+    is_near = np.hypot(*(places_m[:, :2] - middle_m).T) <= radius_m
     lon, lat = terrain.frame.to_lonlat(places_m[:, 0], places_m[:, 1])
     names = ("lon", "lat", "distance_m", "azimuth_deg", "elevation_deg")
     rows = np.column_stack([lon, lat, away_m, seen_deg[:, :2]]).tolist()
@@ -143,7 +128,7 @@ def _seen_from(
 
 
 def _reaches(back_rad: Float64Array, to_middle_m: Float64Array, radius_m: float) -> BoolArray:
-    """Return whether rays (N,) from a summit pass through an area's circle."""
+    """Return whether rays (N,) from a summit pass through a circle."""
     away_m = float(np.hypot(*to_middle_m))
     if away_m <= radius_m:
         return np.ones(len(back_rad), dtype=bool)

@@ -29,7 +29,7 @@ from skyline.errors import FetchError, InputError, MissingFileError, SkylineErro
 from skyline.fetch.dem_tiles import SOURCES, fetch_dem, source_of
 from skyline.files import cache_folder, digest_of, lock_file, version_of
 from skyline.geodesy.bounds import Bounds, check_bounds, contains_box, width_deg
-from skyline.geodesy.map_frame import TRUE_DEG, Frame
+from skyline.geodesy.map_frame import TRUE_DEG, Frame, in_rectangle
 from skyline.progress import Progress, Step
 from skyline.store.layout import SCHEMA_VERSION
 from skyline.store.places import PLACE_CODING
@@ -321,11 +321,11 @@ def _fetch(
 
 def _check_terrain(terrain: HeightField, area: Area, is_given: bool) -> None:
     """Refuse terrain that is all sea, or lacks an area's middle."""
-    west, south, east, north = map_bounds(terrain, area.needed)
+    rectangle_m = west, south, east, north = map_bounds(terrain, area.needed)
     lon = area.needed[0] + width_deg(area.needed) / 2.0
     lat = (area.needed[1] + area.needed[3]) / 2.0
     easting_m, northing_m = terrain.frame.from_lonlat(lon, lat)
-    if not (west <= easting_m <= east and south <= northing_m <= north):
+    if not in_rectangle(rectangle_m, easting_m, northing_m):
         covered = ",".join(f"{side:.4f}" for side in terrain.box_deg)
         raise InputError(
             f"the DEM covers {covered}, and not the place "

@@ -17,6 +17,7 @@ from skyline.arrays import BoolArray, Float64Array
 from skyline.camera import Camera
 from skyline.errors import InputError, OffMapError, printable
 from skyline.geodesy.bounds import in_turn
+from skyline.ground import GroundErrors
 from skyline.match.config import MatchConfig
 from skyline.match.rays import Rays
 from skyline.match.solver import SolverPriors
@@ -24,7 +25,18 @@ from skyline.orientation import RIGHT_DEG
 from skyline.photo.skyline import PhotoSkyline
 from skyline.point_files import ControlPoints
 from skyline.pose import Pose
-from skyline.pose_errors import ANGLES, EAST, HEADING, LOG_SCALE, NORTH, PITCH, ROLL, UP, WARP
+from skyline.pose_errors import (
+    ANGLES,
+    EAST,
+    HEADING,
+    LOG_SCALE,
+    NORTH,
+    PITCH,
+    ROLL,
+    UP,
+    WARP,
+    Bearings,
+)
 from skyline.terrain.heightfield import ground_of, ground_slope
 from skyline.view import Viewer
 
@@ -33,16 +45,11 @@ LEAST_POINTS = 3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PointErrors:
-    """Errors of control points."""
+class PointErrors(GroundErrors):
+    """Errors of control points, some of them on the ground of a terrain model."""
 
-    pixel_sd_px: float = 1.0
-    """Standard deviation of a point's column and row."""
     place_sd_m: float = 5.0
     """Standard deviation of a point's easting, northing and elevation from a map or a phone."""
-    height_sd_m: float | None = None
-    """Standard deviation of the elevation of points and eyes on the ground of the DEM; by default
-    `HeightField.height_sd_m`."""
     wrong_share: float = 0.05
     """Share of points that are expected to be wrong."""
 
@@ -245,9 +252,7 @@ class _Fit:
 
     def __post_init__(self) -> None:
         terrain, points = self.viewer.terrain, self.points
-        self.height_sd_m = terrain.height_sd_m
-        if self.errors.height_sd_m is not None:
-            self.height_sd_m = self.errors.height_sd_m
+        self.height_sd_m = self.errors.height_sd_on(terrain)
         east_m, north_m = terrain.frame.from_lonlat(points.lon, points.lat)
         ground_m = terrain.height_at(easting_m=east_m, northing_m=north_m)
         on_ground = np.isnan(points.elevation_m)
@@ -316,17 +321,12 @@ class _Fit:
         They are (N, 2), (N, 2, P) and (N, 2, 2). A miss is the marked pixel less the pixel that
         shows the point, to first order: the opposite of `PointsFit.residual_px`.
         """
-        camera = self.camera(state)
         column, row = self.points.column_px, self.points.row_px
+        seen = Bearings.of(self.camera(state), column, row, len(state))
         azimuth, tan, away_m = self.toward(state)
-        ray_deg, ray_tan = camera.directions(column, row)
-        off = np.stack([np.radians(in_turn(ray_deg - np.degrees(azimuth))), ray_tan - tan], axis=1)
+        turn_deg = in_turn(seen.grid_azimuth_deg - np.degrees(azimuth))
+        off = np.stack([np.radians(turn_deg), seen.elevation_tan - tan], axis=1)
         sine, cosine = np.sin(azimuth), np.cos(azimuth)
-        by_azimuth, by_tan = camera.changes(column, row)
-        changes = np.zeros((len(column), 2, len(state)))
-        angles = len(state) - HEADING
-        changes[:, 0, HEADING:] = by_azimuth[:, :angles]
-        changes[:, 1, HEADING:] = by_tan[:, :angles]
         # The point's own direction, as the eye moves.
         moved = np.zeros((len(column), 2, UP + 1))
         moved[:, 0, EAST] = -cosine / away_m
@@ -334,8 +334,9 @@ class _Fit:
         moved[:, 1, EAST] = tan * sine / away_m
         moved[:, 1, NORTH] = tan * cosine / away_m
         moved[:, 1, UP] = -1.0 / away_m
+        changes = seen.by_pose.copy()
         changes[:, :, : UP + 1] -= moved
-        to_px = np.linalg.inv(camera.spans(column, row))
+        to_px = np.linalg.inv(seen.by_pixel)
         level_m2, up_m2 = (self.place_sd_m**2).T
         place = np.concatenate(
             [moved[..., :2] * level_m2[:, None, None], moved[..., 2:] * up_m2[:, None, None]],

@@ -12,11 +12,11 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from functools import cache
-from pathlib import Path, PurePath
+from pathlib import Path, PurePath, PureWindowsPath
 from typing import NoReturn, TextIO
 from uuid import uuid4
 
-from skyline.errors import InputError, MissingFileError
+from skyline.errors import InputError, MissingFileError, printable
 
 REPORT_PAGE = "index.html"
 """The page of a report's folder."""
@@ -126,6 +126,14 @@ def has_mark(path: Path, mark: bytes) -> bool:
             return mark in file.read(1024)
     except OSError:
         return False
+
+
+def is_name_of(name: str, path: Path) -> bool:
+    """Return whether a file's name is a path's, whatever the folders of both.
+
+    The name may come from another system.
+    """
+    return PureWindowsPath(name).name == PureWindowsPath(printable(path)).name
 
 
 def is_own_page(path: Path) -> bool:

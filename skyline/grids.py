@@ -19,7 +19,8 @@ from skyline.cf import METRES, TRUE_NORTH
 from skyline.errors import InputError, library
 from skyline.geodesy.crs import lonlat_of, transformer
 from skyline.geodesy.earth import Curvature
-from skyline.horizons import azimuths_deg, steps_a_turn
+from skyline.horizons import steps_a_turn
+from skyline.local_horizons import azimuths_deg
 from skyline.progress import Progress
 from skyline.render.horizon import PanoramaRenderer
 from skyline.sky_view import sky_view_factor

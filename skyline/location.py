@@ -9,7 +9,7 @@ import numpy as np
 
 from skyline.cache import Area, prepare_area
 from skyline.errors import InputError
-from skyline.geodesy.bounds import Bounds
+from skyline.geodesy.bounds import Bounds, Circle
 from skyline.geodesy.map_frame import Frame
 from skyline.match.matcher import Matcher
 from skyline.match.prior import NOTED_KM, Narrowing
@@ -28,7 +28,7 @@ _TOGETHER_KM = 50.0
 
 def locate(
     photo: Picture,
-    near: tuple[float, float, float] | Bounds | None = None,
+    near: Circle | Bounds | None = None,
     dem: Dem | None = None,
     *,
     source: str | None = None,

@@ -15,21 +15,26 @@ _NEEDED = ("lon", "lat", "heading_deg", "fov_deg")
 _HEIGHTS = ("eye_elevation_m", "eye_height_m")
 """The names of an eye's height, of which a record has at most one."""
 _OPTIONAL = ("pitch_deg", "roll_deg", "distortion", *_HEIGHTS)
+_ANGLE_ENDS = ("", "_deg", "_rad")
+_LENGTH_ENDS = ("", "_m", "_ft", "_feet")
 _MISNAMED = {
-    **dict.fromkeys(("pitch", "tilt", "tilt_deg"), "pitch_deg"),
-    "roll": "roll_deg",
-    **dict.fromkeys(
-        ("elevation", "elevation_m", "altitude", "altitude_m", "ele", "eye_elevation"),
-        "eye_elevation_m",
-    ),
-    **dict.fromkeys(("height", "height_m", "eye_height"), "eye_height_m"),
+    f"{name}{end}": meant
+    for names, ends, meant in (
+        (("pitch", "tilt"), _ANGLE_ENDS, "pitch_deg"),
+        (("roll",), _ANGLE_ENDS, "roll_deg"),
+        (("eye_elevation", "elevation", "altitude", "ele"), _LENGTH_ENDS, "eye_elevation_m"),
+        (("eye_height", "height"), _LENGTH_ENDS, "eye_height_m"),
+    )
+    for name in names
+    for end in ends
+    if f"{name}{end}" != meant
 }
 """Names that people write, and the names that are read. A value only under the former is an error:
 if it were ignored, the camera would be level, or held by a person who stands on the ground."""
 _UNKNOWNS = (WARP, WARP + 1, WARP + len(WANDER_DEGREES))
 """Numbers of rows that `skyline.pose.Pose.covariance` may have: without a distortion, with it, and
 with a panorama's wander."""
-_MOST = {"pitch_deg": 90.0, "roll_deg": 180.0, "distortion": MOST_DISTORTION}
+_MOST = {"heading_deg": 360.0, "pitch_deg": 90.0, "roll_deg": 180.0, "distortion": MOST_DISTORTION}
 """Greatest absolute values that a camera has."""
 EXPECTED_RECORD = (
     "expected JSON as `skyline match --json` or `skyline orient --json` prints it, or a record "
@@ -137,7 +142,7 @@ def _check_names(record: Mapping[str, Any], given: Mapping[str, float], source: 
         known |= set(_HEIGHTS)
     for name, meant in _MISNAMED.items():
         if meant not in known and record.get(name) is not None:
-            raise InputError(f"{source} has {name}, which is not read; name it {meant}")
+            raise InputError(f"{source} has {name}, which is not read; give it as {meant}")
 
 
 def _covariance_in(record: Mapping[str, Any], source: str) -> tuple[tuple[float, ...], ...] | None:

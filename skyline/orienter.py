@@ -37,7 +37,6 @@ from skyline.match.prior import (
     PlacePrior,
     Prior,
     Standing,
-    noted_heading_sd_deg,
     noted_position_sd_m,
 )
 from skyline.match.rays import Rays
@@ -330,15 +329,8 @@ class Orienter(Closeable):
             elevation_m=standing.elevation_m,
             elevation_sd_m=standing.elevation_sd_m,
         )
-        if noted.heading_deg is None:
-            return known
         # The photo need not note a position: the heading is turned at the known one.
-        turn_deg = self.frame.convergence_deg(easting_m=self._east, northing_m=self._north)
-        return replace(
-            known,
-            grid_heading_deg=noted.heading_deg - float(turn_deg),
-            heading_sd_deg=noted_heading_sd_deg(noted),
-        )
+        return known.looking_as(noted, self.frame)
 
     def _orientation(
         self, skyline: PhotoSkyline, rays: Rays, poses: Poses, narrowing: Narrowing

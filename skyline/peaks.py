@@ -1,43 +1,26 @@
-"""Named summits: reading gazetteers, and finding which summits an eye sees.
-
-The places of a gazetteer are accurate to about a hundred metres, and a grid of heights cuts summits
-off. A peak therefore stands at the highest sample near its named place, with the terrain's height
-there. It is visible if no ground rises above the straight line to it. Ground within 150 m of a peak
-is the peak's own, and does not hide it.
-"""
+"""Gazetteers: named summits, read from files."""
 
 import json
 import logging
 import math
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, TypeVar
-from unicodedata import bidirectional
+from typing import Any
 
 import numpy as np
-from pyproj import CRS
-from pyproj.exceptions import CRSError
 
 from skyline.arrays import Float64Array, ShortRepr
 from skyline.errors import InputError, printable, swapped_in_words
 from skyline.files import GEOJSON, read_bytes
-from skyline.geodesy.crs import WGS84, transformer
-from skyline.geodesy.earth import GROUND_M, Curvature
+from skyline.geodesy.crs import WGS84, crs_of_geojson, transformer
+from skyline.geodesy.earth import GROUND_M
 from skyline.geodesy.map_frame import Frame
 from skyline.tables import Row, read_table
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.ray_casting import edge_crossings_m
-from skyline.terrain.summits import prominence_m
-from skyline.terrain.viewpoints import Viewpoints, is_on_map
+from skyline.terrain.viewpoints import is_on_map
 
-SUMMIT_RADIUS_M = 150.0
-"""Greatest distance of a summit from its named place; terrain this near to a summit does not hide
-it."""
-UNDERFOOT_SAMPLES = 0.35
-"""Ground nearer than this many samples hides nothing: the model is too coarse there."""
 _FOOT_M = 0.3048
 _INCH_M = 0.0254
 _METRES = {
@@ -54,10 +37,6 @@ _Point = tuple[str, float, float, object]
 """Name, coordinates and height of a peak. The height is as in the file, or None."""
 _COLUMNS = (("name", "lon", "lat"), ("name", "easting", "northing"))
 _HEIGHTS = dict.fromkeys(("ele", "elevation", "elevation_m", "height"), "height_m")
-S = TypeVar("S", bound="Sighting")
-_FROM_LEFT = "\N{LEFT-TO-RIGHT MARK}"
-_FROM_RIGHT = ("R", "AL")
-"""Bidirectional classes of letters that are written from right to left."""
 _log = logging.getLogger(__name__)
 _EXPECTED = (
     "expected a gazetteer: columns `name,lon,lat` or `name,easting,northing`, and optionally "
@@ -203,7 +182,9 @@ def _read(path: str | Path) -> tuple[tuple[str, ...], Float64Array, bool]:
 
 
 def _row(row: Row, first: str, second: str) -> _Point:
-    height = row.with_point("height_m") or None
+    # A height that may be two stays as it is, and is no height.
+    readings = row.readings("height_m")
+    height = (readings[0] if len(readings) == 1 else row["height_m"]) or None
     return " ".join(row["name"].split()), row.number(first), row.number(second), height
 
 
@@ -215,31 +196,25 @@ def _of_geojson(path: str | Path) -> list[_Point]:
             f"gazetteer {path} cannot be read ({error}); expected GeoJSON: a FeatureCollection of "
             "points with the property `name`"
         ) from None
-    to_wgs84 = transformer(_crs_of(path, read), WGS84)
-    features = read.get("features") if isinstance(read, dict) else None
-    found = [_named_point(feature) for feature in features] if isinstance(features, list) else []
-    return [
-        (name, *to_wgs84.transform(lon, lat), ele) for name, lon, lat, ele in filter(None, found)
-    ]
-
-
-def _crs_of(path: str | Path, read: Any) -> CRS:
-    """Return the system of GeoJSON's degrees: WGS 84, unless it names another.
-
-    GeoJSON of 2008 could name a coordinate reference system. Raises `InputError` if that is not in
-    degrees.
-    """
-    try:
-        name = str(read["crs"]["properties"]["name"])
-        crs = CRS.from_user_input(name)
-    except (TypeError, KeyError, CRSError):
-        return WGS84
+    crs = crs_of_geojson(path, read.get("crs") if isinstance(read, dict) else None)
     if not crs.is_geographic:
         raise InputError(
             f"gazetteer {path} has the coordinate system {printable(crs.name)}; expected degrees "
             "of WGS 84: convert it, as with ogr2ogr -t_srs EPSG:4326"
         )
-    return crs
+    to_wgs84 = transformer(crs, WGS84)
+    features = read.get("features") if isinstance(read, dict) else None
+    found = [_named_point(feature) for feature in features] if isinstance(features, list) else []
+    points = [
+        (name, *to_wgs84.transform(lon, lat), ele) for name, lon, lat, ele in filter(None, found)
+    ]
+    for name, lon, lat, _ in points:
+        if not (abs(lon) <= 360.0 and abs(lat) <= 90.0):
+            raise InputError(
+                f"gazetteer {path} has {printable(name)} at {lon:g},{lat:g}; expected longitude "
+                "and latitude in degrees: convert it, as with ogr2ogr -t_srs EPSG:4326"
+            )
+    return points
 
 
 def _named_point(feature: Any) -> _Point | None:
@@ -255,7 +230,7 @@ def _named_point(feature: Any) -> _Point | None:
         ele = properties.get("ele")
     except (TypeError, KeyError, ValueError, OverflowError, AttributeError):
         return None
-    if not name or geometry.get("type") != "Point" or not (abs(lon) <= 360.0 and abs(lat) <= 90.0):
+    if not name or geometry.get("type") != "Point":
         return None
     return name, lon, lat, None if ele == "" else ele
 
@@ -275,180 +250,3 @@ def height_of_ele(ele: object) -> float:
     elif read := _FEET_INCHES.fullmatch(text):
         height_m = float(read[1]) * _FOOT_M + float(read[2] or 0.0) * _INCH_M
     return height_m if GROUND_M[0] <= height_m <= GROUND_M[1] else math.nan
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Sighting:
-    """A peak as an eye would see it without other terrain."""
-
-    name: str
-    easting_m: float
-    northing_m: float
-    surface_m: float
-    """Height of the summit on the terrain."""
-    grid_azimuth_deg: float
-    elevation_tan: float
-    """Tangent of the elevation angle: up over horizontal distance."""
-    distance_m: float
-    """Horizontal."""
-    height_m: float = math.nan
-    """Height in the gazetteer; NaN if it has none."""
-
-    @property
-    def label(self) -> str:
-        """The name, with the height if the gazetteer has one.
-
-        Marks enclose a name that is written from right to left, so that the height stays after it.
-        """
-        is_turned = any(bidirectional(letter) in _FROM_RIGHT for letter in self.name)
-        name = f"{_FROM_LEFT}{self.name}{_FROM_LEFT}" if is_turned else self.name
-        return name if math.isnan(self.height_m) else f"{name} {self.height_m:.0f} m"
-
-    @property
-    def elevation_m(self) -> float:
-        """Height in the gazetteer, or else the summit's height on the terrain."""
-        return self.surface_m if math.isnan(self.height_m) else self.height_m
-
-
-def visible_peaks(
-    terrain: HeightField, eye: Viewpoints, peaks: Peaks, curvature: Curvature
-) -> list[Sighting]:
-    """Return the peaks visible to one eye, in the gazetteer's order.
-
-    Peaks off the terrain are left out, since the terrain that may hide them is unknown.
-    """
-    aimed = aimed_at(terrain, eye, peaks, curvature)
-    return [one for one in aimed if one is not None and _is_seen(terrain, eye, one, curvature)]
-
-
-def aimed_at(
-    terrain: HeightField, eye: Viewpoints, peaks: Peaks, curvature: Curvature
-) -> list[Sighting | None]:
-    """Return where one eye would see each peak if nothing hid it.
-
-    None stands for a peak off the terrain.
-    """
-    aimed: list[Sighting | None] = []
-    for index, name in enumerate(peaks.names):
-        summit = summit_near(terrain, peaks.easting_m[index], peaks.northing_m[index])
-        if summit is None:
-            aimed.append(None)
-            continue
-        easting_m, northing_m, surface_m = summit
-        east_m = easting_m - float(eye.easting_m[0])
-        north_m = northing_m - float(eye.northing_m[0])
-        distance_m = math.hypot(east_m, north_m)
-        up_m = surface_m - float(eye.eye_elevation_m[0]) - float(curvature.drop_m(distance_m))
-        aimed.append(
-            Sighting(
-                name=name,
-                easting_m=easting_m,
-                northing_m=northing_m,
-                surface_m=surface_m,
-                grid_azimuth_deg=math.degrees(math.atan2(east_m, north_m)) % 360.0,
-                # Of a summit just under the eye no direction is asked.
-                elevation_tan=up_m / max(distance_m, 1.0),
-                distance_m=distance_m,
-                height_m=float(peaks.height_m[index]),
-            )
-        )
-    return aimed
-
-
-def _is_seen(
-    terrain: HeightField, eye: Viewpoints, sighting: Sighting, curvature: Curvature
-) -> bool:
-    """Return whether no terrain in front of a peak stands higher.
-
-    A peak on which the eye stands is not seen.
-    """
-    if sighting.distance_m <= 2.0 * SUMMIT_RADIUS_M:
-        return False
-    (highest_deg,) = highest_between_deg(
-        terrain,
-        eye,
-        curvature,
-        np.radians([sighting.grid_azimuth_deg]),
-        np.array([UNDERFOOT_SAMPLES * terrain.spacing_m]),
-        np.array([sighting.distance_m - SUMMIT_RADIUS_M]),
-    )
-    return bool(highest_deg <= math.degrees(math.atan(sighting.elevation_tan)))
-
-
-def most_prominent_first(terrain: HeightField, sightings: Sequence[S]) -> list[S]:
-    """Return sightings in order of prominence on the terrain, then of height.
-
-    Prominence is computed, since gazetteers seldom have it. Height alone misleads: a knoll on a
-    high ridge is higher than a mountain that stands alone.
-    """
-
-    def rank(sighting: Sighting) -> tuple[float, float]:
-        row, col = terrain.to_grid(easting_m=sighting.easting_m, northing_m=sighting.northing_m)
-        prominent_m = prominence_m(terrain, round(float(row)), round(float(col)))
-        return -prominent_m, -sighting.surface_m
-
-    return sorted(sightings, key=rank)
-
-
-def summit_near(
-    terrain: HeightField, easting_m: float, northing_m: float
-) -> tuple[float, float, float] | None:
-    """Return easting, northing and height of the highest sample near a place.
-
-    Returns None off the terrain, and where there is no sample.
-    """
-    row, col = (float(at) for at in terrain.to_grid(easting_m=easting_m, northing_m=northing_m))
-    if not (0.0 <= row <= terrain.rows - 1 and 0.0 <= col <= terrain.cols - 1):
-        return None
-    reach_rows = max(1.0, SUMMIT_RADIUS_M / terrain.spacing_north_m)
-    reach_cols = max(1.0, SUMMIT_RADIUS_M / terrain.spacing_east_m)
-    top = max(0, math.ceil(row - reach_rows))
-    left = max(0, math.ceil(col - reach_cols))
-    near = terrain.part(
-        slice(top, math.floor(row + reach_rows) + 1), slice(left, math.floor(col + reach_cols) + 1)
-    )
-    if np.isnan(near).all():
-        return None
-    at_row, at_col = np.unravel_index(np.nanargmax(near), near.shape)
-    east, north = terrain.to_map(top + at_row, left + at_col)
-    return float(east), float(north), float(near[at_row, at_col])
-
-
-def highest_between_deg(
-    terrain: HeightField,
-    eye: Viewpoints,
-    curvature: Curvature,
-    grid_rad: Float64Array,
-    near_m: Float64Array,
-    far_m: Float64Array,
-) -> Float64Array:
-    """Return the highest elevation angle of the terrain on each ray.
-
-    Each of one eye's K rays is followed along its grid azimuth between two distances (K,). The
-    surface is a plane between two edges, so the highest angle is at an edge. It is -90 without
-    data.
-    """
-    away_m, is_between = edge_crossings_m(terrain, eye, grid_rad, near_m, far_m)
-    up_deg = ground_elevation_deg(terrain, eye, curvature, grid_rad, away_m)
-    return np.asarray(np.where(is_between, up_deg, -90.0).max(axis=1))
-
-
-def ground_elevation_deg(
-    terrain: HeightField,
-    eye: Viewpoints,
-    curvature: Curvature,
-    grid_rad: Float64Array,
-    distance_m: Float64Array,
-) -> Float64Array:
-    """Return the ground's elevation angles (K, D) along one eye's rays.
-
-    The rays have grid azimuths (K,); the horizontal distances are (D,) or (K, D). The angle is -90
-    without data.
-    """
-    ground_m = terrain.height_at(
-        easting_m=eye.easting_m[0] + distance_m * np.sin(grid_rad)[:, np.newaxis],
-        northing_m=eye.northing_m[0] + distance_m * np.cos(grid_rad)[:, np.newaxis],
-    )
-    drop_m = eye.eye_elevation_m[0] + curvature.drop_m(distance_m)
-    up_deg = np.degrees(np.arctan((ground_m - drop_m) / distance_m))
-    return np.asarray(np.nan_to_num(up_deg, nan=-90.0))

@@ -99,7 +99,7 @@ def read_control_points(path: Path) -> ControlPoints:
 
 
 def _of_qgis(path: Path, table: Table, named: Sequence[str]) -> ControlPoints:
-    rows = [one for one in table.rows if one["enable"] != "0"]
+    rows = [one for one in table.rows if not one["enable"] or one.number("enable", 0.0, 1.0)]
     x, y, column, row = (
         np.array([one.number(name) for one in rows], dtype=np.float64) for name in named
     )

@@ -76,26 +76,31 @@ ASSUMED = AssumedErrors()
 class Bearings(Rows):
     """Directions of N pixels, and their derivatives by pose and pixel."""
 
-    azimuth_rad: Float64Array
+    grid_azimuth_deg: Float64Array
     """(N,) float64. From grid north."""
     elevation_tan: Float64Array
     """(N,) float64."""
     by_pose: Float64Array
-    """(N, 2, P) float64. Derivatives of azimuth and tangent by the unknowns of
+    """(N, 2, P) float64. Derivatives of azimuth, radians, and tangent by the unknowns of
     `skyline.pose.Pose.covariance`; 0 for the eye's position."""
     by_pixel: Float64Array
     """(N, 2, 2) float64. The same by a column to the right and a row down."""
+
+    @property
+    def azimuth_rad(self) -> Float64Array:
+        """(N,) float64. From grid north."""
+        return np.radians(self.grid_azimuth_deg)
 
     @classmethod
     def of(
         cls, camera: Camera, column_px: ArrayLike, row_px: ArrayLike, unknowns: int
     ) -> "Bearings":
         """Return directions of a camera's pixels, for a number of unknowns."""
-        azimuth_deg, tangent = camera.directions(column_px, row_px)
+        grid_azimuth_deg, tangent = camera.directions(column_px, row_px)
         changes = np.stack(camera.changes(column_px, row_px), axis=1)
         still = np.zeros((len(changes), 2, HEADING))
         return cls(
-            azimuth_rad=np.radians(azimuth_deg),
+            grid_azimuth_deg=grid_azimuth_deg,
             elevation_tan=tangent,
             by_pose=np.concatenate([still, changes], axis=2)[..., :unknowns],
             by_pixel=camera.spans(column_px, row_px),

@@ -3,12 +3,12 @@
 import json
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from pathlib import Path, PurePath
+from pathlib import Path
 from typing import Any
 
 from skyline.camera import Projection
 from skyline.errors import InputError, printable
-from skyline.files import read_bytes
+from skyline.files import is_name_of, read_bytes
 from skyline.noted_pose import EXPECTED_RECORD, NotedPose, noted_projection
 from skyline.photo.photo import Photo, read_photo
 from skyline.store.read import is_store
@@ -84,7 +84,7 @@ def read_posed(
 def _check_photo(record: Any, path: Path, photo: Path) -> None:
     """Raise `InputError` for the record of a photo with another name."""
     named = record.get("photo") if isinstance(record, dict) else None
-    if named and PurePath(str(named)).name != PurePath(printable(photo)).name:
+    if named and not is_name_of(str(named), photo):
         raise InputError(
             f"pose {path} is of {printable(str(named))}, not of {photo}; give the pose of this "
             "photo, or remove `photo` from the record if a fixed camera took both"

@@ -2,8 +2,9 @@
 
 Viewpoints, gazetteers, lists of photos and traces are all such tables. Cells are separated by the
 most frequent of comma, semicolon and tab in the header. With semicolons or tabs, numbers may have
-decimal commas, and points between thousands beside them. Lines before the header that begin with #
-are notes. The apostrophe that keeps a text from being a formula is removed.
+decimal commas, and separators between thousands. The other numbers of the table tell which is
+which; a number that may still be two is refused. Lines before the header that begin with # are
+notes. The apostrophe that keeps a text from being a formula is removed.
 """
 
 import csv
@@ -29,16 +30,23 @@ _OTHER_NAMES = {
     "fid": "id",
 }
 """Other usual names of columns, and the names that Skyline uses instead."""
-_DECIMAL_COMMA = re.compile(r"[-+]?\d[\d.]*,\d+")
-_THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2}(?:\.\d{3})+(?:,\d+)?(?![\d.,])")
-"""A number with points between thousands."""
+_POINT_OR_COMMA = {".": ",", ",": "."}
+"""The marks of decimals, and of thousands beside each."""
+_DECIMAL = re.compile(r"[-+]?\d+([.,])\d+")
+_THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2}(?:([.,])\d{3})(?:\1\d{3})*(?:(?!\1)[.,]\d+)?")
+"""A number with points or commas between thousands."""
+_TEXTS = ("id", "name", "path", "time")
+"""Columns whose texts do not tell how a table writes its numbers."""
 _FORMULA = re.compile(r"'*[-=+@\uff0d\uff1d\uff0b\uff20]")
 """The beginning of a text that spreadsheets take for a formula: a sign, perhaps of full width,
 perhaps after apostrophes (OWASP, CSV injection)."""
 _LONE_NUMBER = re.compile(r"[-+]?[0-9]+(?:[.,][0-9]+)?(?:[eE][-+]?[0-9]+)?")
 """A number, which is no formula although it may begin with a sign."""
-_LONG = {"easting", "northing", "elevation", "height_m", "lowest_m", "highest_m"}
-"""Columns of metres that may be thousands."""
+_LONG = {
+    "easting", "northing", "elevation", "elevation_m", "eye_elevation_m", "height_m", "lowest_m",
+    "highest_m",
+}  # fmt: skip
+"""Columns of metres that are often thousands, and of which no one gives millimetres."""
 _SHOWN = 80
 """Characters of a header that an error shows."""
 
@@ -51,7 +59,10 @@ class Row:
     """The file and the line, for messages."""
     cells: Mapping[str, str]
     """Texts by column, without spaces around them."""
-    has_decimal_commas: bool = False
+    marks: str = "."
+    """The marks of decimals in the table's numbers: point, comma, or both."""
+    has_thousands: bool = False
+    """Whether its numbers may have separators between thousands."""
 
     def __getitem__(self, column: str) -> str:
         return self.cells.get(column, "")
@@ -61,32 +72,53 @@ class Row:
         """The row's ``id``, else its ``name``; empty if it has neither."""
         return self["id"] or self["name"]
 
-    def with_point(self, column: str) -> str:
-        """Return a number's text with a decimal point and no thousands separators."""
+    def readings(self, column: str) -> list[str]:
+        """Return what a number's text may mean, with a decimal point and nothing else.
+
+        It is empty for a text that the table's way of writing numbers does not explain.
+        """
         text = self[column]
-        if not self.has_decimal_commas:
-            return text
-        if column in _LONG and _THOUSANDS.match(text):
-            text = text.replace(".", "")
-        return text.replace(",", ".")
+        if not self.has_thousands:
+            return [text]
+        read = _THOUSANDS.fullmatch(text)
+        marks = self.marks
+        # Elsewhere than in long columns, someone may have pasted a number with three decimals.
+        if read and read[1] != marks and column not in _LONG:
+            marks = "".join(_POINT_OR_COMMA)
+        whole = [
+            text.replace(_POINT_OR_COMMA[mark], "").replace(mark, ".")
+            for mark in marks
+            if _POINT_OR_COMMA[mark] not in text or (read and read[1] != mark)
+        ]
+        return list(dict.fromkeys(whole))
 
     def number(self, column: str, low: float = -math.inf, high: float = math.inf) -> float:
         """Return a finite number from ``low`` to ``high``.
 
-        Raises `InputError` for anything else. ``lon`` is from -180 to 360 and ``lat`` from -90 to
+        Raises `InputError` for anything else, and for a text that may be two such numbers, such as
+        1.234 in a table with decimal commas. ``lon`` is from -180 to 360 and ``lat`` from -90 to
         90.
         """
         low, high = _LIMITS.get(column, (low, high))
-        text = self[column]
-        try:
-            value = float(self.with_point(column))
-        except ValueError:
-            value = math.nan
-        if not (math.isfinite(value) and low <= value <= high):
-            above = f" from {low:g}" if low > -math.inf else ""
-            below = f" to {high:g}" if high < math.inf else ""
-            raise InputError(f"{self.where}: {column} is `{text}`; expected a number{above}{below}")
-        return value
+        values = []
+        for text in self.readings(column):
+            with suppress(ValueError):
+                values.append(float(text))
+        possible = [one for one in values if math.isfinite(one) and low <= one <= high]
+        # Limits decide only where the other numbers of the table do not.
+        is_sure = len(values) == 1 or len(self.marks) == 2
+        if len(possible) == 1 and is_sure:
+            return possible[0]
+        found = f"{self.where}: {column} is `{self[column]}`"
+        if possible:
+            few, many = sorted(values, key=abs)
+            raise InputError(
+                f"{found}, which may be {few:g} or {many:g}; write it without a separator between "
+                "thousands"
+            )
+        above = f" from {low:g}" if low > -math.inf else ""
+        below = f" to {high:g}" if high < math.inf else ""
+        raise InputError(f"{found}; expected a number{above}{below}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,15 +211,36 @@ def read_table(
         raise InputError(f"{path} is empty; {expected}")
     if twice := {name for name in header if name and header.count(name) > 1}:
         raise InputError(f"{path} has the column `{twice.pop()[:_SHOWN]}` twice; {expected}")
-    # Without a comma in any number, points are decimal.
-    has_commas = separator != "," and any(
-        _DECIMAL_COMMA.fullmatch(cell)
-        for _, cells in found
-        for name, cell in cells.items()
-        if name not in ("id", "name", "path")
-    )
-    rows = [Row(where, cells, has_commas) for where, cells in found]
+    marks = "."
+    if separator != ",":
+        marks = _marks_in(
+            (name, cell) for _, cells in found for name, cell in cells.items() if name not in _TEXTS
+        )
+    rows = [Row(where, cells, marks, separator != ",") for where, cells in found]
     return Table(path, header, rows, lines[:before])
+
+
+def _marks_in(cells: Iterable[tuple[str, str]]) -> str:
+    """Return the marks of decimals in the cells of a table, named by their columns.
+
+    A mark before three digits tells nothing, except in degrees, which have no thousands: then
+    points are taken for decimal ones, and commas may be either.
+    """
+    sure = set()
+    seen = set()
+    for name, text in cells:
+        decimal = _DECIMAL.fullmatch(text)
+        thousands = _THOUSANDS.fullmatch(text)
+        if decimal and (not thousands or name in _LIMITS):
+            sure.add(decimal[1])
+        elif thousands and not decimal:
+            # Two separators, or more than one mark: the first parts thousands.
+            sure.add(_POINT_OR_COMMA[thousands[1]])
+        elif decimal:
+            seen.add(decimal[1])
+    if not sure:
+        sure = {"."} | seen
+    return "".join(sorted(sure))
 
 
 def csv_lines(rows: Iterable[Iterable[object]]) -> str:

@@ -9,7 +9,7 @@ import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path, PurePath
+from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element, ParseError
 
@@ -20,7 +20,7 @@ from defusedxml.ElementTree import fromstring
 from skyline.arrays import Float64Array
 from skyline.camera import in_picture
 from skyline.errors import InputError, library, printable
-from skyline.files import GEOJSON, read_bytes
+from skyline.files import GEOJSON, is_name_of, read_bytes
 
 POINT, LINE, POLYGON = "Point", "LineString", "Polygon"
 """Kinds of shapes, by their GeoJSON names."""
@@ -43,6 +43,8 @@ _LEAST_VERTICES = {POINT: 1, LINE: 2, POLYGON: 3}
 _SVG_SHAPES = ("polygon", "polyline", "line", "rect", "circle", "ellipse", "path")
 _SVG_UNSEEN = ("defs", "clipPath", "mask", "symbol", "marker", "pattern")
 """Elements of SVG whose shapes are not drawn where they stand."""
+_SVG_HIDES = re.compile(r"\bdisplay\s*:\s*none")
+_SVG_MOVES = re.compile(r"\b(transform|translate|rotate|scale)\s*:\s*(?!none)\S")
 _SVG_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _SVG_STEP = re.compile(rf"([a-zA-Z])|({_SVG_NUMBER})")
 _CORNER = 0.5
@@ -79,14 +81,32 @@ class Vectors:
     """Whether they were drawn in a photo rather than on a map."""
     size_px: tuple[int, int] | None = None
     """Width and height of their photo, if the file says so."""
+    photo: str = ""
+    """Name of their photo, if the file says so."""
 
     def check_photo(self, photo: Path, width_px: int, height_px: int) -> None:
-        """Raise `InputError` if the vectors' photo has another size."""
+        """Raise `InputError` if the vectors' photo has another name or size.
+
+        So does a drawing of several vertices within a pixel: such coordinates are shares of the
+        width and height.
+        """
+        if self.photo and not is_name_of(self.photo, photo):
+            raise InputError(
+                f"{self.path} is drawn in {printable(self.photo)}, not in {photo}; give the photo "
+                "in which it was drawn, or correct the name in the file if it is the same photo"
+            )
         if self.size_px is not None and self.size_px != (width_px, height_px):
             width, height = self.size_px
             raise InputError(
                 f"{self.path} is drawn in a photo of {width} x {height} px, and {photo} has "
                 f"{width_px} x {height_px}; give the photo in which it was drawn"
+            )
+        vertices = np.concatenate([shape.vertices for shape in self.shapes])
+        if len(vertices) > 1 and np.abs(vertices).max() <= 1.0 < min(width_px, height_px):
+            raise InputError(
+                f"{self.path} has coordinates from 0 to 1 only; expected columns and rows of "
+                f"{photo}, which has {width_px} x {height_px} px: multiply them by its width and "
+                "height"
             )
         for shape in self.shapes:
             column, row = shape.vertices.T
@@ -179,8 +199,10 @@ def _of_json(path: Path, photo: Path, in_pixels: bool) -> Vectors:
 def _of_geojson(path: Path, read: Mapping[str, Any], in_pixels: bool) -> Vectors:
     about = read.get(PHOTO_MEMBER)
     size_px = None
+    name = ""
     if isinstance(about, Mapping):
         size_px, in_pixels = (int(about["width_px"]), int(about["height_px"])), True
+        name = str(about.get("name") or "")
     shapes = [
         Shape(kind, rings, f"feature {number}", properties)
         for number, (geometry, properties) in enumerate(_geometries(read), start=1)
@@ -192,7 +214,7 @@ def _of_geojson(path: Path, read: Mapping[str, Any], in_pixels: bool) -> Vectors
             shapes = [_moved(one, lambda xy: xy * (1.0, -1.0) - _CORNER) for one in shapes]
     else:
         shapes = _in_degrees(path, shapes, read.get("crs"))
-    return Vectors(path, tuple(shapes), in_pixels, size_px)
+    return Vectors(path, tuple(shapes), in_pixels, size_px, name)
 
 
 def _geometries(read: Mapping[str, Any]) -> Iterator[tuple[Any, Mapping[str, Any]]]:
@@ -238,22 +260,16 @@ def _moved(shape: Shape, move: Callable[[Float64Array], Float64Array]) -> Shape:
 
 def _in_degrees(path: Path, shapes: list[Shape], crs: Any) -> list[Shape]:
     """Convert shapes to WGS 84 from the CRS that older GeoJSON names."""
-    if not isinstance(crs, Mapping):
+    if crs is None:
         return shapes
-    from pyproj import CRS, Transformer  # noqa: PLC0415  (slow to load)
-    from pyproj.exceptions import CRSError  # noqa: PLC0415
+    from skyline.geodesy.crs import (  # noqa: PLC0415  (slow to load)
+        WGS84,
+        crs_of_geojson,
+        transformer,
+    )
 
-    name = str(crs["properties"]["name"])
-    try:
-        transformer = Transformer.from_crs(CRS.from_user_input(name), 4326, always_xy=True)
-    except CRSError:
-        raise InputError(
-            f"{path} names the CRS {name[:60]}, which is not known; write the coordinates in "
-            "degrees (WGS 84)"
-        ) from None
-    return [
-        _moved(one, lambda xy: np.stack(transformer.transform(*xy.T), axis=1)) for one in shapes
-    ]
+    to_wgs84 = transformer(crs_of_geojson(path, crs), WGS84)
+    return [_moved(one, lambda xy: np.stack(to_wgs84.transform(*xy.T), axis=1)) for one in shapes]
 
 
 def _of_labelme(path: Path, read: Mapping[str, Any]) -> Vectors:
@@ -275,7 +291,8 @@ def _of_labelme(path: Path, read: Mapping[str, Any]) -> Vectors:
         rings = tuple(ring[:, np.newaxis]) if kind == POINT else (ring,)
         about = {"label": one.get("label")}
         shapes += [Shape(kind, (part,), f"shape {number}", about) for part in rings]
-    return Vectors(path, tuple(shapes), in_pixels=True, size_px=_size_of(read, "image{}"))
+    size_px = _size_of(read, "image{}")
+    return Vectors(path, tuple(shapes), True, size_px, str(read.get("imagePath") or ""))
 
 
 def _size_of(read: Mapping[str, Any], name: str) -> tuple[int, int] | None:
@@ -290,9 +307,7 @@ def _size_of(read: Mapping[str, Any], name: str) -> tuple[int, int] | None:
 def _of_coco(path: Path, read: Mapping[str, Any], photo: Path) -> Vectors:
     """Return the shapes of COCO's annotations of a photo."""
     images = read.get("images") or []
-    of_photo = [one for one in images if PurePath(str(one.get("file_name"))).name == photo.name]
-    if not of_photo and len(images) == 1:
-        of_photo = images
+    of_photo = [one for one in images if is_name_of(str(one.get("file_name")), photo)]
     if len(of_photo) != 1:
         raise InputError(
             f"{path} has {len(of_photo)} images of the name {photo.name}; expected one: give the "
@@ -382,13 +397,15 @@ def _of_svg(path: Path, root: Element) -> Vectors:
     sides = [re.match(_SVG_NUMBER, root.get(side, "")) for side in ("width", "height")]
     size = box[2:] if len(box) == 4 else [float(one[0]) for one in sides if one is not None]
     corner = box[:2] if len(box) == 4 else [0.0, 0.0]
-    unseen = {part for one in root.iter() if _tag(one) in _SVG_UNSEEN for part in one.iter()}
+    hidden = [one for one in root.iter() if _tag(one) in _SVG_UNSEEN or _is_hidden(one)]
+    unseen = {part for one in hidden for part in one.iter()}
     shapes = []
     for number, one in enumerate(root.iter(), start=1):
         where = f"element {number} ({_tag(one)})"
-        if one in unseen:
+        if one in unseen and _tag(one) != "style":
             continue
-        if one.get("transform") or (_tag(one) in ("svg", "use") and one is not root):
+        is_moved = one.get("transform") or _SVG_MOVES.search(_style_of(one))
+        if is_moved or (_tag(one) in ("svg", "use") and one is not root):
             raise InputError(
                 f"{path}, {where} moves shapes; expected shapes in the photo's pixels: apply the "
                 "transforms and unlink clones, or export GeoJSON"
@@ -401,6 +418,16 @@ def _of_svg(path: Path, root: Element) -> Vectors:
             ]
     size_px = (round(size[0]), round(size[1])) if len(size) == 2 else None
     return Vectors(path, tuple(shapes), in_pixels=True, size_px=size_px)
+
+
+def _style_of(one: Element) -> str:
+    """Return the style of an element of SVG, or the rules of its element ``style``."""
+    return (one.text or "") if _tag(one) == "style" else one.get("style", "")
+
+
+def _is_hidden(one: Element) -> bool:
+    """Return whether an element of SVG is not shown, as a hidden layer."""
+    return one.get("display") == "none" or bool(_SVG_HIDES.search(one.get("style", "")))
 
 
 def _svg_rings(path: Path, where: str, one: Element) -> Iterator[tuple[str, Float64Array]]:

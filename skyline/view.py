@@ -6,43 +6,29 @@ azimuths in degrees, elevations the tangent of the elevation angle: up over hori
 
 from __future__ import annotations
 
-import io
-import json
 import math
-import warnings
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from datetime import datetime
-from pathlib import Path
 from threading import Lock
-from typing import TYPE_CHECKING
 
 import numpy as np
-from pyproj import CRS
 
-from skyline.arrays import BoolArray, Float32Array, Float64Array, ShortRepr
+from skyline.arrays import BoolArray, Float64Array, ShortRepr
 from skyline.camera import in_picture
-from skyline.cf import LAT, LON, METRES
-from skyline.errors import InputError, library, suffix_of
-from skyline.files import write_whole
+from skyline.errors import InputError
 from skyline.geodesy.bounds import in_turn
-from skyline.geodesy.crs import WGS84
 from skyline.geodesy.earth import Curvature
 from skyline.ground import GroundView
 from skyline.noted_pose import NotedPose
-from skyline.peaks import (
-    Peaks,
-    Sighting,
-    aimed_at,
-    check_on_map,
-    most_prominent_first,
-    visible_peaks,
-)
+from skyline.peaks import Peaks, check_on_map
 from skyline.photo.skyline import PhotoSkyline
+from skyline.pixel_places import PixelPlaces
 from skyline.pose import Pose
 from skyline.progress import Progress
 from skyline.render.context import Closeable, RenderThread
 from skyline.render.horizon import RenderConfig, RenderedScene
+from skyline.sightings import Sighting, aimed_at, most_prominent_first, visible_peaks
 from skyline.skylines import HEADINGS, Views
 from skyline.sun import Body, Sky, check_is_earth
 from skyline.terrain.dem import Dem, read_dem
@@ -58,13 +44,6 @@ from skyline.terrain.viewpoints import (
     stand_on,
 )
 
-if TYPE_CHECKING:
-    from geopandas import GeoDataFrame
-    from pandas import DataFrame
-    from xarray import Dataset
-
-PIXEL_FILES = (".npz", ".tif")
-_BANDS = ("distance_m", "lon", "lat", "elevation_m")
 _AROUND = 0.52
 """Distance to either side of the picture's middle up to which a rendered skyline is drawn, in
 widths: just beyond the picture."""
@@ -207,140 +186,6 @@ def peaks_in_picture(
         SeenPeak(**asdict(sightings[one]), column_px=float(column[one]), row_px=float(row[one]))
         for one in np.flatnonzero(shown).tolist()
     ]
-
-
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
-class PixelPlaces(ShortRepr):
-    """The terrain that each pixel of a photo shows.
-
-    NaN for sky.
-
-    Attributes
-    ----------
-    distance_m : (H, W) float32
-        Horizontal distance from the camera.
-    lon, lat : (H, W) float64
-        Degrees, WGS 84.
-    elevation_m : (H, W) float32
-        Metres above the DEM's datum.
-    step : int
-        Row r and column c are pixel ``step * r`` and ``step * c`` of the photo.
-    crs : pyproj.CRS
-        Of the longitudes and latitudes: WGS 84, or degrees on another world than the Earth.
-    """
-
-    distance_m: Float32Array
-    lon: Float64Array
-    lat: Float64Array
-    elevation_m: Float32Array
-    step: int = 1
-    crs: CRS = field(default_factory=lambda: WGS84, repr=False)
-
-    def to_xarray(self) -> Dataset:
-        """Return the places as a dataset; NaN for sky.
-
-        Returns
-        -------
-        xarray.Dataset
-            ``distance_m`` and ``elevation_m`` by ``row_px`` and ``column_px``, with the coordinates
-            ``lon`` and ``lat``.
-
-        Raises
-        ------
-        InputError
-            Xarray is not installed.
-        """
-        row_px, column_px = (self.step * np.arange(count) for count in self.lon.shape)
-        dims = "row_px", "column_px"
-        data: Dataset = library("xarray", "a Dataset").Dataset(
-            {
-                "distance_m": (dims, self.distance_m, METRES),
-                "elevation_m": (dims, self.elevation_m, METRES),
-            },
-            {
-                "lon": (dims, self.lon, LON),
-                "lat": (dims, self.lat, LAT),
-                "row_px": ("row_px", row_px, {"units": "px"}),
-                "column_px": ("column_px", column_px, {"units": "px"}),
-            },
-        )
-        return data
-
-    def to_dataframe(self) -> DataFrame:
-        """Return a row for each pixel that shows terrain.
-
-        Returns
-        -------
-        pandas.DataFrame
-            ``column_px``, ``row_px``, ``lon``, ``lat``, ``elevation_m`` and ``distance_m``.
-
-        Raises
-        ------
-        InputError
-            Pandas is not installed.
-        """
-        row, column = np.nonzero(np.isfinite(self.distance_m))
-        columns = {"column_px": self.step * column, "row_px": self.step * row}
-        names = "lon", "lat", "elevation_m", "distance_m"
-        columns |= {name: getattr(self, name)[row, column] for name in names}
-        return library("pandas", "a DataFrame").DataFrame(columns)
-
-    def to_geodataframe(self) -> GeoDataFrame:
-        """Return a point for each pixel that shows terrain.
-
-        Returns
-        -------
-        geopandas.GeoDataFrame
-            Points in `crs`, WGS 84 on the Earth, with the columns of `to_dataframe`.
-
-        Raises
-        ------
-        InputError
-            GeoPandas is not installed.
-        """
-        geopandas = library("geopandas", "a GeoDataFrame")
-        table = self.to_dataframe()
-        points = geopandas.points_from_xy(table["lon"], table["lat"])
-        return geopandas.GeoDataFrame(table, geometry=points, crs=self.crs)
-
-    def save(self, path: str | Path, pose: Pose) -> None:
-        """Write the places, and the pose from which they are seen.
-
-        Parameters
-        ----------
-        path : str or Path
-            ``.npz`` holds the arrays by name and ``pose``, JSON as ``skyline match --json`` prints
-            a candidate. ``.tif`` holds four float64 bands by name, without a georeference; the pose
-            is its tag ``pose``.
-
-        Raises
-        ------
-        InputError
-            The suffix is a different one, or the file cannot be written.
-        """
-        path, suffix = Path(path), suffix_of(path, PIXEL_FILES)
-        about = json.dumps(pose.to_dict())
-        arrays = [getattr(self, name) for name in _BANDS]
-        if suffix == ".npz":
-            file = io.BytesIO()
-            np.savez(file, **dict(zip(_BANDS, arrays, strict=True)), step=self.step, pose=about)
-            write_whole(path, file.getvalue())
-            return
-        from rasterio.errors import NotGeoreferencedWarning  # noqa: PLC0415  (slow to load)
-        from rasterio.io import MemoryFile  # noqa: PLC0415
-
-        height, width = self.lon.shape
-        size = {"width": width, "height": height, "count": len(_BANDS), "dtype": "float64"}
-        with MemoryFile() as memory, warnings.catch_warnings():
-            warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            with memory.open(
-                driver="GTiff", **size, nodata=np.nan, compress="deflate", BIGTIFF="IF_SAFER"
-            ) as raster:
-                for band, (name, values) in enumerate(zip(_BANDS, arrays, strict=True), start=1):
-                    raster.write(values.astype(np.float64), band)
-                    raster.set_band_description(band, name)
-                raster.update_tags(pose=about, step=self.step)
-            write_whole(path, memory.read())
 
 
 class Viewer(Closeable):

@@ -20,7 +20,7 @@ from skyline_bench import (
     speed,
     summits,
 )
-from skyline_bench.search.commands import SEARCHES, command_of
+from skyline_bench.search.commands import COMPARISONS, command_of
 from skyline_bench.truth.stability import stability
 
 COMMANDS: Mapping[str, Mapping[Callable[..., None], str]] = {
@@ -38,7 +38,7 @@ COMMANDS: Mapping[str, Mapping[Callable[..., None], str]] = {
     },
     "One answer": {opening.opening: "5 minutes"},
     "Large areas": {shards.shards: "10 minutes"},
-    "Search": {command_of(name, search): search.takes for name, search in SEARCHES.items()},
+    "Search": {command_of(name, one): one.takes for name, one in COMPARISONS.items()},
     "Photographs": {
         orient.orient: "20 minutes",
         drawn.drawn: "5 minutes",

@@ -219,7 +219,7 @@ def _by_points(
         viewer, photo, lon=float(place[0]), lat=float(place[1]), position_sd_m=BESIDE_M
     )
     found = fit_points(viewer, photo, points, known, _EXACT)
-    off_deg = abs(float(in_turn(found.pose.grid_heading_deg - query.truth.heading_deg)))
+    off_deg = abs(float(in_turn(found.pose.grid_heading_deg - query.truth.grid_heading_deg)))
     is_named = found.wrong == (str(wrong),)
     return [{"off_deg": off_deg, "sd_deg": found.sds_deg["heading"], "is_named": is_named}]
 

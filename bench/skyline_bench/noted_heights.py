@@ -115,7 +115,7 @@ def _summary(tried: Sequence[_Tried]) -> dict[str, Any]:
     """
     answers = [(truth, one.answer) for truth, one, _ in tried if one.answer is not None]
     off_deg = np.array(
-        [abs(in_turn(pose.grid_heading_deg - truth.heading_deg)) for truth, pose in answers]
+        [abs(in_turn(pose.grid_heading_deg - truth.grid_heading_deg)) for truth, pose in answers]
     )
     off_m = np.array([abs(pose.eye_elevation_m - truth.eye_elevation_m) for truth, pose in answers])
     heights_m = [height_m for *_, height_m in tried]

@@ -284,7 +284,7 @@ def webcam_row(
             progress(number, count)
     answered = np.array([one.answer is not None for one in found])
     clear = [one.pose for one, is_clear in zip(found, answered & ~fog, strict=True) if is_clear]
-    off_deg = (in_turn(pose.grid_heading_deg - truth.heading_deg) for pose in clear if pose)
+    off_deg = (in_turn(pose.grid_heading_deg - truth.grid_heading_deg) for pose in clear if pose)
     turned = np.array(list(off_deg))
     middle = float(np.median(turned)) if len(turned) else math.nan
     spread = np.abs(turned - middle)
@@ -332,7 +332,7 @@ def _by_distance(terrain: HeightField, held: Sequence[_Held]) -> list[dict[str, 
     figures = []
     for query, found in held:
         place_m = {"easting_m": query.truth.easting_m, "northing_m": query.truth.northing_m}
-        north_deg = query.truth.heading_deg + float(terrain.frame.convergence_deg(**place_m))
+        north_deg = query.truth.grid_heading_deg + float(terrain.frame.convergence_deg(**place_m))
         figures.append(figures_of(found, north_deg, query.truth.fov_deg))
     members = dict(groups([query.distance_m for query, _ in held], by_thirds=False))
     sharp = [number for number, one in enumerate(figures) if one["sd_deg"] <= SHARP_DEG]

@@ -15,7 +15,8 @@ from scipy.ndimage import maximum_filter
 from skyline import HeightField, Pose, Viewer
 from skyline.arrays import BoolArray, Float64Array
 from skyline.geodesy.earth import Curvature
-from skyline.peaks import SUMMIT_RADIUS_M, Peaks
+from skyline.peaks import Peaks
+from skyline.terrain.summits import SUMMIT_RADIUS_M
 from skyline_bench.measuring import window_of
 from skyline_bench.queries.synthetic import SyntheticQuery, Truth
 
@@ -133,7 +134,7 @@ def true_pose(viewer: Viewer, truth: Truth) -> Pose:
     north_deg = float(viewer.frame.convergence_deg(**place_m))
     lon, lat = map(float, viewer.frame.to_lonlat(truth.easting_m, truth.northing_m))
     held = {name: getattr(truth, name) for name in ("pitch_deg", "roll_deg", "fov_deg")}
-    pose = viewer.pose(lon=lon, lat=lat, heading_deg=truth.heading_deg + north_deg, **held)
+    pose = viewer.pose(lon=lon, lat=lat, heading_deg=truth.grid_heading_deg + north_deg, **held)
     return replace(pose, eye_elevation_m=truth.eye_elevation_m, covariance=_EXACT)
 
 
@@ -166,7 +167,7 @@ def _in_picture(
     ground_m = terrain.height_at(easting_m=east_m, northing_m=north_m)
     tan = (ground_m - truth.eye_elevation_m - Curvature().drop_m(away_m)) / away_m
     camera = truth.camera(size.width_px, size.height_px)
-    column, row, ahead = camera.project(azimuth_rad - np.radians(truth.heading_deg), tan)
+    column, row, ahead = camera.project(azimuth_rad - np.radians(truth.grid_heading_deg), tan)
     inside = ahead & (column >= 0.0) & (column < size.width_px)
     inside &= (row >= 0.0) & (row < size.height_px)
     drawn = np.random.default_rng(seed).permutation(np.flatnonzero(inside))[:30]

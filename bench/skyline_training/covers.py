@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 
 from skyline.arrays import Float32Array, UInt8Array
-from skyline_training.landscapes import COVER, Drawing, fractal
+from skyline_training.landscapes import Drawing, fractal
 
 
 def put_in_front(drawing: Drawing) -> None:
@@ -49,7 +49,7 @@ def _conifer(drawing: Drawing) -> None:
     ragged = 1.0 + whorls + 0.45 * fractal(rng, (height, width), rng.uniform(0.3, 0.8))
     opacity = np.clip(reach * ragged - np.abs(columns - centre * width), 0, 1) * (rows > top)
     colour = dark(rng) * _grain(rng, (height, width), 0.3) * np.array([0.95, 1.1, 0.85])
-    drawing.paint(opacity, colour, COVER)
+    drawing.cover(opacity, colour)
 
 
 def _foliage(drawing: Drawing) -> None:
@@ -63,7 +63,7 @@ def _foliage(drawing: Drawing) -> None:
     )
     opacity = np.clip(density / 0.15, 0, 1).astype(np.float32)
     colour = dark(rng, 110.0) * _grain(rng, (height, width), 0.4) * np.array([1.0, 1.15, 0.7])
-    drawing.paint(opacity, colour, COVER)
+    drawing.cover(opacity, colour)
 
 
 def _figure(drawing: Drawing) -> None:
@@ -101,7 +101,7 @@ def _paint_cloth(drawing: Drawing, mask: UInt8Array) -> None:
     """Paint a mask (H, W) in one bright or dark colour."""
     rng = drawing.rng
     colour = rng.uniform(5, 235, 3) * rng.uniform(0.1, 1.0) * _grain(rng, mask.shape, 0.12)
-    drawing.paint(cv2.blur(mask, (2, 2)).astype(np.float32) / 255.0, colour, COVER)
+    drawing.cover(cv2.blur(mask, (2, 2)).astype(np.float32) / 255.0, colour)
 
 
 def _bulk(drawing: Drawing) -> None:
@@ -127,7 +127,7 @@ def _bulk(drawing: Drawing) -> None:
         opacity = np.maximum(opacity, cv2.blur(finger, (3, 3)) / 255.0)
     shade = 1.0 + 0.3 * fractal(rng, (height, width), 1.7)[..., np.newaxis]
     colour = rng.uniform(5, 235, 3) * rng.uniform(0.1, 1.0) * np.maximum(shade, 0.1)
-    drawing.paint(opacity, np.clip(colour, 0, 255), COVER)
+    drawing.cover(opacity, np.clip(colour, 0, 255))
 
 
 def _lines(drawing: Drawing) -> None:
@@ -146,7 +146,7 @@ def _lines(drawing: Drawing) -> None:
         sag = (rng.uniform(0.0, 0.6) + 0.06 * x**2 + rng.uniform(-0.3, 0.3) * x) * height
         points = np.stack([(x + 1) / 2 * width, sag], axis=1).astype(np.int32)
         cv2.polylines(mask, [points], False, int(rng.integers(120, 256)), 1, cv2.LINE_AA)
-    drawing.paint(mask.astype(np.float32) / 255.0, dark(rng, 140.0), COVER)
+    drawing.cover(mask.astype(np.float32) / 255.0, dark(rng, 140.0))
 
 
 def _houses(drawing: Drawing) -> None:
@@ -165,7 +165,7 @@ def _houses(drawing: Drawing) -> None:
         for y in range(top + step, min(height, top + max(tall, step)), 2 * step):
             for x in range(left + step // 2, left + wide - step // 2, step):
                 cv2.rectangle(colour, (x, y), (x + step // 2, y + step), panes.tolist(), -1)
-        drawing.paint(mask.astype(np.float32) / 255.0, colour, COVER)
+        drawing.cover(mask.astype(np.float32) / 255.0, colour)
 
 
 def _window(drawing: Drawing) -> None:
@@ -191,4 +191,4 @@ def _window(drawing: Drawing) -> None:
     opacity = cv2.blur(mask, (3, 3)).astype(np.float32) / 255.0
     shade = 1.0 + 0.5 * fractal(rng, (height, width), 2.0)[..., np.newaxis]
     colour = np.clip(dark(rng, 60.0) * np.maximum(shade, 0.0), 0, 255)
-    drawing.paint(opacity, colour, COVER)
+    drawing.cover(opacity, colour)

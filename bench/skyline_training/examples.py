@@ -290,7 +290,7 @@ def _example(
 ) -> Example:
     best = int(np.argmin(poses.cost))
     off_m = float(query.truth.off_m(poses.easting_m[best], poses.northing_m[best]))
-    turn_deg = abs(float(in_turn(poses.grid_heading_deg[best] - query.truth.heading_deg)))
+    turn_deg = abs(float(in_turn(poses.grid_heading_deg[best] - query.truth.grid_heading_deg)))
     return Example(
         {name: float(values[best]) for name, values in figures.items()},
         off_m if turn_deg <= SAME_VIEW_DEG else math.inf,

@@ -44,11 +44,11 @@ class Drawing:
         height, width = self.label.shape
         return height, width
 
-    def paint(self, opacity: ArrayLike, rgb: ArrayLike, mark: int) -> None:
-        """Paint a colour (H, W, 3), and label what it hides."""
+    def cover(self, opacity: ArrayLike, rgb: ArrayLike) -> None:
+        """Paint a colour (H, W, 3) over the picture, and label what it hides."""
         share = np.asarray(opacity, dtype=np.float32)
         self.picture += share[..., np.newaxis] * (np.asarray(rgb, np.float32) - self.picture)
-        self.label[share > 0.5] = mark
+        self.label[share > 0.5] = COVER
 
 
 CELLS = 1024

@@ -99,7 +99,7 @@ def _oriented(
                 continue
             if found is not None:
                 figures, heading_deg = found
-                off_deg = abs(float(in_turn(heading_deg - truth.heading_deg)))
+                off_deg = abs(float(in_turn(heading_deg - truth.grid_heading_deg)))
                 yield Example(figures, math.inf if is_strange else off_deg)
 
 

@@ -27,7 +27,8 @@ from skyline.cli.photo_options import (
 )
 from skyline.cli.terminal import Terminal
 from skyline.match.prior import NOTED_KM
-from skyline.tasks.locate import LocateTask, locate_photos
+from skyline.tasks.locate import locate_photos
+from skyline.tasks.match import MatchTask
 
 
 def locate(
@@ -84,12 +85,12 @@ def locate(
         use_gps,
         peaks,
     )
-    task = LocateTask(
+    search = MatchTask(
+        stores=(),
         entries=list(entries_of(photo, common)),
         common=common,
         inputs=photo,
         dem=dem or (),
-        source=source,
         same_place=same_place,
         report=report,
         peaks=peaks,
@@ -97,4 +98,4 @@ def locate(
         probability=probability or (),
         walked_km_h=walked,
     )
-    raise typer.Exit(locate_photos(task, Terminal.of(context, as_json)))
+    raise typer.Exit(locate_photos(search, source, Terminal.of(context, as_json)))

@@ -37,6 +37,12 @@ def output_option(about: str, metavar: str = "FILE", **shown: Any) -> Any:
     return Option("--output", "-o", metavar=metavar, help=about, **shown)
 
 
+def bounds_option(about: str, **shown: Any) -> Any:
+    """Return the option for a box; ``about`` comes before the names of its sides."""
+    sides = f"{about}: west, south, east, north in degrees (WGS 84)."
+    return Option("--bounds", metavar="W,S,E,N", help=sides, **shown)
+
+
 of_terrain = panel("Terrain and rendering")
 
 DEM_ABOUT = "An elevation file, or a folder or zip of files; may be repeated."
@@ -109,14 +115,8 @@ Crs = Annotated[
         envvar="SKYLINE_CRS",
     ),
 ]
-_bounds = partial(
-    Option,
-    "--bounds",
-    metavar="W,S,E,N",
-    help="The area: west, south, east, north in degrees (WGS 84).",
-)
-BoundsText = Annotated[str, _bounds()]
-BoundsOrAll = Annotated[str | None, _bounds(show_default="all of the DEM")]
+BoundsText = Annotated[str, bounds_option("The area")]
+BoundsOrAll = Annotated[str | None, bounds_option("The area", show_default="all of the DEM")]
 Spacing = Annotated[
     float | None,
     Option("--spacing", metavar="M", help="Metres between the viewpoints of a uniform grid."),

@@ -9,8 +9,9 @@ from typer import Argument, Option
 
 from skyline.batch import Entry
 from skyline.camera import Pixel, Projection
-from skyline.cli.options import PEAKS_VARIABLE, panel, parse_bounds
+from skyline.cli.options import PEAKS_VARIABLE, bounds_option, panel, parse_bounds
 from skyline.errors import InputError, numbers_in
+from skyline.geodesy.bounds import Circle
 from skyline.match.prior import NOTED_KM, Narrowing
 from skyline.peaks import find_place
 from skyline.report.exports import EXPORTS
@@ -77,14 +78,7 @@ Near = Annotated[
         f"({NOTED_KM:g} km unless KM is given).",
     ),
 ]
-SearchBounds = Annotated[
-    str | None,
-    Option(
-        "--bounds",
-        metavar="W,S,E,N",
-        help="Search in the area: west, south, east, north in degrees (WGS 84).",
-    ),
-]
+SearchBounds = Annotated[str | None, bounds_option("Search in the area")]
 Heading = Annotated[
     float | None,
     _known("--heading", metavar="DEG", help="Heading of the camera, degrees from true north."),
@@ -187,7 +181,7 @@ def heading_of(heading: float | None, slack: float | None) -> tuple[float, float
     return heading, slack
 
 
-def parse_near(text: str, gazetteer: Path | None) -> tuple[float, float, float]:
+def parse_near(text: str, gazetteer: Path | None) -> Circle:
     """Return longitude, latitude and radius in km from ``LON,LAT,KM`` or ``NAME[,KM]``.
 
     Raises `InputError` for anything else, and as `find_place` for a name.

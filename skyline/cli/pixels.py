@@ -10,8 +10,8 @@ from typer import Option
 from skyline.cli.options import POSE, Crs, Dem, PhotoProjection, output_option
 from skyline.cli.photo_options import PhotoFile
 from skyline.cli.terminal import Terminal
+from skyline.pixel_places import PIXEL_FILES
 from skyline.tasks.pixels import PixelsTask, place_pixels
-from skyline.view import PIXEL_FILES
 
 
 def pixels(

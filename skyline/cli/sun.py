@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 from typer import Option
 
-from skyline.alignments import DEFAULT_WITHIN_KM, Circle, standpoints
+from skyline.alignments import DEFAULT_WITHIN_KM, standpoints
 from skyline.cli.options import (
     Crs,
     Dems,
@@ -17,8 +17,10 @@ from skyline.cli.options import (
 )
 from skyline.cli.terminal import Terminal
 from skyline.errors import InputError
+from skyline.geodesy.bounds import Circle
 from skyline.geodesy.earth import Curvature
-from skyline.horizons import LocalHorizons, horizons_of
+from skyline.horizons import horizons_of
+from skyline.local_horizons import LocalHorizons
 from skyline.sun import Body, check_is_earth, day_of
 from skyline.tasks.standing import stand_with_notes, warn_of_border
 from skyline.tasks.terrain import curvature_of, read_terrain
@@ -70,12 +72,12 @@ def sun(
     check_is_earth(terrain.frame.crs)
     curvature = curvature_of(terrain, refraction_k)
     if summit is not None:
-        areas = [Circle(lon=lon, lat=lat, radius_m=1000.0 * within) for lon, lat in positions]
+        circles = [(lon, lat, within) for lon, lat in positions]
         lines = [
             line
             for body in Body
-            for area in areas
-            for line in _standpoints(terrain, summit, asked, body, area, eye_height, curvature)
+            for circle in circles
+            for line in _standpoints(terrain, summit, asked, body, circle, eye_height, curvature)
         ]
         terminal.line("time_utc,lon,lat,distance_m,azimuth_deg,elevation_deg,body")
         for line in lines:
@@ -119,13 +121,13 @@ def _standpoints(
     summit: tuple[float, float],
     day: date,
     body: Body,
-    area: Circle,
+    within: Circle,
     eye_height_m: float,
     curvature: Curvature,
 ) -> list[str]:
     """Return lines on places from which a body is over a summit."""
     found = standpoints(
-        terrain, summit, day, body, area, eye_height_m=eye_height_m, curvature=curvature
+        terrain, summit, day, body, within, eye_height_m=eye_height_m, curvature=curvature
     )
     return [
         f"{one.time:{_SECOND}},{one.lon:.6f},{one.lat:.6f},{one.distance_m:.0f},"

@@ -1,4 +1,4 @@
-"""Boxes of longitudes and latitudes, turns, and distances in words.
+"""Boxes and circles in degrees, turns, and distances in words.
 
 People read degrees of WGS 84 and azimuths from true north; the program works in metres of a frame,
 with azimuths from grid north.
@@ -12,6 +12,8 @@ from skyline.errors import InputError, numbers_of, swapped_in_words
 
 Bounds = tuple[float, float, float, float]
 """West, south, east, north in degrees; west above east means a box across the antimeridian."""
+Circle = tuple[float, float, float]
+"""Longitude and latitude in degrees, and a radius in kilometres."""
 
 
 def check_bounds(bounds_deg: Bounds) -> Bounds:

@@ -1,13 +1,15 @@
 """Coordinate reference systems (CRS), and transformations between them."""
 
 import math
+from collections.abc import Mapping
 from contextlib import suppress
+from typing import Any
 
 import numpy as np
 from pyproj import CRS, Transformer
 from pyproj.exceptions import CRSError, ProjError
 
-from skyline.errors import InputError
+from skyline.errors import InputError, printable
 
 WGS84 = CRS.from_epsg(4326)
 _WGS84_M = 6378137.0
@@ -75,6 +77,26 @@ def parse_crs(crs: object) -> CRS:
             f"coordinate reference system {crs!r} is not understood "
             f"({' '.join(str(error).split())}); give an EPSG code such as EPSG:32632 or WKT"
         ) from error
+
+
+def crs_of_geojson(path: object, named: Any) -> CRS:
+    """Return the CRS in a GeoJSON's member ``crs``; WGS 84 without one.
+
+    The member is of 2008: ``name`` with the CRS's name, or ``EPSG`` with its code. Raises
+    `InputError` for any other.
+    """
+    if named is None:
+        return WGS84
+    about = named.get("properties") if isinstance(named, Mapping) else {"name": named}
+    about = about if isinstance(about, Mapping) else {}
+    name = about.get("name", f"EPSG:{about['code']}" if "code" in about else None)
+    try:
+        return CRS.from_user_input(str(name))
+    except CRSError:
+        raise InputError(
+            f"{path} names the CRS {printable(str(name or named))[:60]}, which is not known; write "
+            "the coordinates in degrees (WGS 84)"
+        ) from None
 
 
 def transformer(source: CRS, target: CRS) -> Transformer:

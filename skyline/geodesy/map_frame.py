@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pyproj import CRS, Geod, Transformer
 
-from skyline.arrays import Complex128Array, Float64Array, by_dimensions, refuse_text
+from skyline.arrays import BoolArray, Complex128Array, Float64Array, by_dimensions, refuse_text
 from skyline.errors import InputError
-from skyline.geodesy.bounds import Bounds, check_bounds, width_deg
+from skyline.geodesy.bounds import Bounds, Circle, check_bounds, width_deg
 from skyline.geodesy.crs import (
     half_axes_m,
     is_metric,
@@ -207,6 +207,12 @@ class Frame:
         )
         return rectangle
 
+    def circle_m(self, circle: Circle) -> tuple[float, float, float]:
+        """Return easting, northing and radius, metres, of a circle in degrees."""
+        lon, lat, radius_km = circle
+        easting_m, northing_m = self.from_lonlat(lon, lat)
+        return float(easting_m), float(northing_m), 1000.0 * radius_km
+
     def convergence_deg(self, *, easting_m: ArrayLike, northing_m: ArrayLike) -> Float64Array:
         """Return the grid convergence, degrees: true azimuth minus grid azimuth."""
         _, to_north = self._steps(easting_m, northing_m)
@@ -286,6 +292,14 @@ class Frame:
         across_m = geod.a / np.sqrt(root)
         along_m = across_m * (1.0 - geod.es) / root
         return eastward / across_m, northward / along_m
+
+
+def in_rectangle(rectangle_m: Rectangle, easting_m: ArrayLike, northing_m: ArrayLike) -> BoolArray:
+    """Return which positions lie in a rectangle or on its sides."""
+    west, south, east, north = rectangle_m
+    easting = np.asarray(easting_m)
+    northing = np.asarray(northing_m)
+    return (west <= easting) & (easting <= east) & (south <= northing) & (northing <= north)
 
 
 def geodesic_m(lon: float, lat: float, other_lon: float, other_lat: float) -> float:

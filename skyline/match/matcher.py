@@ -25,7 +25,7 @@ from skyline.match.config import MatchConfig
 from skyline.match.contours import weighed_by_contours
 from skyline.match.joint_result import JointResult
 from skyline.match.method import MATCHERS, SearchMethod
-from skyline.match.posterior import Findings, MapGrid, Posterior, posterior_of
+from skyline.match.posterior import Findings, Posterior, grid_around, posterior_of
 from skyline.match.prior import NOTHING_KNOWN, Narrowing, Prior
 from skyline.match.rays import Rays
 from skyline.match.refine import VIEW_WIDTH
@@ -284,17 +284,22 @@ class Matcher(Closeable):
         top: int,
         narrowing: Narrowing | None,
         report_progress: StepProgress,
-    ) -> _Found:
+    ) -> _Search:
         """Search for one skyline of a photo; raises as `match`."""
-        refusal = too_little(skyline)
-        if refusal is not None:
-            return _Found(skyline, refusal)
-        rays, prior = self._rays_and_prior(skyline, narrowing)
-        poses = self._method.search(rays, prior, max(top, TOP), report_progress)
+        asked = self._asked(skyline, narrowing)
+        if asked.known is None:
+            return asked
+        poses = self._method.search(*asked.known, max(top, TOP), report_progress)
         candidates = self._weighed(self._on_map(poses), skyline)[:top]
-        return _Found(skyline, None, (rays, prior), candidates)
+        return replace(asked, candidates=candidates)
 
-    def _verdict(self, found: _Found) -> Verdict:
+    def _asked(self, skyline: PhotoSkyline, narrowing: Narrowing | None, name: str = "") -> _Search:
+        """Return a skyline to search for, without candidates yet."""
+        refusal = too_little(skyline)
+        known = None if refusal else self._rays_and_prior(skyline, narrowing)
+        return _Search(skyline, name, refusal, known)
+
+    def _verdict(self, found: _Search) -> Verdict:
         """Return whether the best candidate is the answer."""
         if found.known is None:
             return Verdict(found.refusal)
@@ -456,7 +461,7 @@ class Matcher(Closeable):
             if progress is not None:
                 progress(done, len(order))
             known.append(self._findings(results[number], silent))
-        grid = MapGrid.around(known)
+        grid = grid_around(known)
         alone = [posterior_of(found, frame, grid) for found in known]
         hours = [(times[b] - times[a]) / timedelta(hours=1) for a, b in pairwise(order)]
         together = joined(alone, [1000.0 * walked_km_h * one for one in hours])
@@ -477,7 +482,7 @@ class Matcher(Closeable):
         photos: Sequence[Picture | PhotoSkyline],
         fov_deg: float | None,
         narrowings: Sequence[Narrowing | None] | None,
-    ) -> list[_Photo]:
+    ) -> list[_Search]:
         """Return the photos of one place; raises `InputError` for fewer than two."""
         if isinstance(photos, str | Path | PhotoSkyline | Image):
             photos = [photos]
@@ -493,12 +498,10 @@ class Matcher(Closeable):
                 f"{len(given)} photos and {len(narrowings)} narrowings; expected as many"
             )
         named = [named_skyline(photo, fov_deg) for photo in given]
-        read = []
-        for (name, skyline), narrowing in zip(named, narrowings, strict=True):
-            refusal = too_little(skyline)
-            known = None if refusal else self._rays_and_prior(skyline, narrowing)
-            read.append(_Photo(name, replace(skyline, picture=None), refusal, known))
-        return read
+        return [
+            self._asked(replace(skyline, picture=None), narrowing, name)
+            for (name, skyline), narrowing in zip(named, narrowings, strict=True)
+        ]
 
     def _found_together(
         self, usable: Mapping[int, tuple[Rays, Prior]], top: int, report: StepProgress
@@ -604,19 +607,6 @@ class Matcher(Closeable):
         return rays, Prior.of(narrowing, self.areas[0].frame, exif)
 
 
-@dataclass(frozen=True, slots=True)
-class _Photo:
-    """One of several photos that are matched together."""
-
-    name: str
-    """Its file; empty for pixels and for a skyline."""
-    skyline: PhotoSkyline
-    refusal: str | None
-    """Why the photo cannot be matched; None if it can."""
-    known: tuple[Rays, Prior] | None
-    """Its rays and the prior of its pose; None if it cannot be matched."""
-
-
 def _searched(
     result: MatchResult | JointResult,
 ) -> tuple[list[tuple[PhotoSkyline, Narrowing]], Sequence[Pose]]:
@@ -651,13 +641,15 @@ def _without_search(pose: Pose, refusal: str | None) -> Pose:
 
 
 @dataclass(frozen=True, slots=True)
-class _Found:
+class _Search:
     """One skyline of a photo, and the candidates found for it."""
 
     skyline: PhotoSkyline
+    name: str
+    """The photo's file; empty for pixels and for a skyline."""
     refusal: str | None
     """Why it cannot be searched for; None if it can."""
-    known: tuple[Rays, Prior] | None = None
+    known: tuple[Rays, Prior] | None
     """Its rays and the prior of its pose; None if it cannot be searched for."""
     candidates: tuple[Pose, ...] = ()
 
@@ -672,7 +664,7 @@ class _Found:
         return 0.0 if self.best is None else self.best.confidence_1km or 0.0
 
 
-def _surest(searches: Sequence[_Found]) -> _Found:
+def _surest(searches: Sequence[_Search]) -> _Search:
     """Return the surest of the searches for several skylines of a photo.
 
     At most one of the skylines is the terrain's. So the best candidates of the others are rivals of

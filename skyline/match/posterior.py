@@ -44,6 +44,7 @@ import numpy as np
 from skyline.arrays import Float32Array, Float64Array, Rows, ShortRepr
 from skyline.cf import METRES
 from skyline.errors import InputError, library
+from skyline.geodesy.cell_grid import CellGrid
 from skyline.geodesy.map_frame import Frame
 from skyline.match.prior import PlacePrior
 from skyline.pose import RIGHT_WITHIN_M, ROUGHLY_WITHIN_M, Pose, Poses
@@ -155,19 +156,16 @@ class Posterior(ShortRepr):
     Attributes
     ----------
     probability : (rows, cols) float32
-        Rows from north to south, columns from west to east. The sum is 1.
-    west_m, north_m : float
-        Easting and northing of the grid's north-western corner, in the frame.
-    cell_m : float
-        Side of a cell.
+        The sum is 1.
+    grid : CellGrid
+        The cells: their north-western corner, ``west_m`` and ``north_m`` in the frame, and their
+        side, ``cell_m``.
     frame : Frame
         The store's frame: `Matcher.frame`.
     """
 
     probability: Float32Array
-    west_m: float
-    north_m: float
-    cell_m: float
+    grid: CellGrid
     frame: Frame
 
     def least_probability(self, share: float) -> float:
@@ -190,14 +188,14 @@ class Posterior(ShortRepr):
     def area_km2(self, share: float) -> float:
         """Return the size of the smallest area that holds a share."""
         cells = np.count_nonzero(self.probability >= self.least_probability(share))
-        return float(cells * (self.cell_m / 1000.0) ** 2)
+        return float(cells * (self.grid.cell_m / 1000.0) ** 2)
 
     def probability_at(self, *, easting_m: float, northing_m: float) -> float:
         """Return the probability of a place's cell; 0 outside the map."""
-        row = math.floor((self.north_m - northing_m) / self.cell_m)
-        col = math.floor((easting_m - self.west_m) / self.cell_m)
-        rows, cols = self.probability.shape
-        is_inside = 0 <= row < rows and 0 <= col < cols
+        grid = self.grid
+        row = math.floor((grid.north_m - northing_m) / grid.cell_m)
+        col = math.floor((easting_m - grid.west_m) / grid.cell_m)
+        is_inside = 0 <= row < grid.rows and 0 <= col < grid.cols
         return float(self.probability[row, col]) if is_inside else 0.0
 
     def share_at(self, *, easting_m: float, northing_m: float) -> float:
@@ -232,8 +230,8 @@ class Posterior(ShortRepr):
         height = np.log(np.pad(np.maximum(self.probability, tiny), 1, constant_values=tiny))
         rows, cols = height.shape
         found = contour_generator(
-            x=self.west_m + (np.arange(cols) - 0.5) * self.cell_m,
-            y=self.north_m - (np.arange(rows) - 0.5) * self.cell_m,
+            x=self.grid.west_m + (np.arange(cols) - 0.5) * self.grid.cell_m,
+            y=self.grid.north_m - (np.arange(rows) - 0.5) * self.grid.cell_m,
             z=height,
             fill_type=FillType.OuterOffset,
         ).filled(0.5 * math.log(max(least, tiny)) + 0.5 * math.log(max(next_lower, tiny)), np.inf)
@@ -249,7 +247,7 @@ class Posterior(ShortRepr):
         """Return a closed outline, simplified by a quarter of a cell."""
         # Single precision has no room for eastings of a whole country.
         off = (ring - ring[0]).astype(np.float32)
-        kept = cv2.approxPolyDP(off[:-1, np.newaxis], 0.25 * self.cell_m, closed=True)[:, 0]
+        kept = cv2.approxPolyDP(off[:-1, np.newaxis], 0.25 * self.grid.cell_m, closed=True)[:, 0]
         closed = ring[0] + np.concatenate([kept, kept[:1]], dtype=np.float64)
         # Rows count southwards, so what turns left on the grid turns right on the map.
         return np.asarray(closed[::-1])
@@ -262,12 +260,11 @@ class Posterior(ShortRepr):
         InputError
             Xarray is not installed.
         """
-        rows, cols = self.probability.shape
         made: DataArray = library("xarray", "a DataArray").DataArray(
             self.probability,
             {
-                "y": ("y", self.north_m - (np.arange(rows) + 0.5) * self.cell_m, METRES),
-                "x": ("x", self.west_m + (np.arange(cols) + 0.5) * self.cell_m, METRES),
+                "y": ("y", self.grid.northings_m(), METRES),
+                "x": ("x", self.grid.eastings_m(), METRES),
             },
             name="probability",
             attrs={"long_name": "probability of a cell", "crs_wkt": self.frame.wkt},
@@ -275,35 +272,24 @@ class Posterior(ShortRepr):
         return made
 
 
-@dataclass(frozen=True, slots=True)
-class MapGrid:
-    """The grid of a posterior; see `Posterior`."""
-
-    west_m: float
-    north_m: float
-    cell_m: float
-    rows: int
-    cols: int
-
-    @classmethod
-    def around(cls, searches: Iterable[Findings]) -> MapGrid:
-        """Return the grid around the places and the candidates of searches."""
-        corners_m = []
-        for found in searches:
-            corners_m += [(one.easting_m, one.northing_m) for one in found.candidates]
-            places = found.places
-            for sign in (-1.0, 1.0):
-                east_m = places.easting_m + sign * places.half_m
-                north_m = places.northing_m + sign * places.half_m
-                corners_m += [(east_m.min(), north_m.min()), (east_m.max(), north_m.max())]
-        west, south = (float(least) for least in np.min(corners_m, axis=0))
-        east, north = (float(most) for most in np.max(corners_m, axis=0))
-        cell_m = max(_SIZE.finest_m, math.sqrt((east - west) * (north - south) / _SIZE.most_cells))
-        rows, cols = math.ceil((north - south) / cell_m), math.ceil((east - west) / cell_m)
-        return cls(west, north, cell_m, rows, cols)
+def grid_around(searches: Iterable[Findings]) -> CellGrid:
+    """Return the grid around the places and the candidates of searches."""
+    corners_m = []
+    for found in searches:
+        corners_m += [(one.easting_m, one.northing_m) for one in found.candidates]
+        places = found.places
+        for sign in (-1.0, 1.0):
+            east_m = places.easting_m + sign * places.half_m
+            north_m = places.northing_m + sign * places.half_m
+            corners_m += [(east_m.min(), north_m.min()), (east_m.max(), north_m.max())]
+    west, south = (float(least) for least in np.min(corners_m, axis=0))
+    east, north = (float(most) for most in np.max(corners_m, axis=0))
+    cell_m = max(_SIZE.finest_m, math.sqrt((east - west) * (north - south) / _SIZE.most_cells))
+    rows, cols = math.ceil((north - south) / cell_m), math.ceil((east - west) / cell_m)
+    return CellGrid(west, north, cell_m, rows, cols)
 
 
-def posterior_of(found: Findings, frame: Frame, grid: MapGrid | None = None) -> Posterior:
+def posterior_of(found: Findings, frame: Frame, grid: CellGrid | None = None) -> Posterior:
     """Return the posterior of a photo.
 
     ``frame`` is the frame of its places and poses. By default the grid is the one around the places
@@ -311,7 +297,7 @@ def posterior_of(found: Findings, frame: Frame, grid: MapGrid | None = None) -> 
     """
     fitted, places, noted = found.fitted, found.places, found.noted
     spots, roughly, left = candidate_spots(found.candidates)
-    layer = _Layer.on(grid or MapGrid.around([found]))
+    layer = _Layer(grid or grid_around([found]))
     for spot in spots:
         layer.add_spot(spot)
     if len(spots):
@@ -329,9 +315,7 @@ def posterior_of(found: Findings, frame: Frame, grid: MapGrid | None = None) -> 
     sd_m = np.hypot(SPREAD.around_m, places.half_m)
     layer.add_round(places.easting_m, places.northing_m, sd_m, (left - by_fits) * weight)
     probability = layer.probability / layer.probability.sum()
-    return Posterior(
-        probability.astype(np.float32), layer.west_m, layer.north_m, layer.cell_m, frame
-    )
+    return Posterior(probability.astype(np.float32), layer.grid, frame)
 
 
 def candidate_spots(candidates: Sequence[Pose]) -> tuple[Spots, float, float]:
@@ -370,35 +354,27 @@ def _softmax(values: Float64Array) -> Float64Array:
     return np.asarray(weight / weight.sum())
 
 
-@dataclass(frozen=True, slots=True, eq=False)
 class _Layer:
-    """A grid of cells to which distributions are added."""
+    """Cells to which distributions are added."""
 
-    west_m: float
-    north_m: float
-    cell_m: float
-    probability: Float64Array
-    """(rows, cols) float64."""
-
-    @classmethod
-    def on(cls, grid: MapGrid) -> _Layer:
-        """Return an empty layer."""
-        return cls(grid.west_m, grid.north_m, grid.cell_m, np.zeros((grid.rows, grid.cols)))
+    def __init__(self, grid: CellGrid) -> None:
+        self.grid = grid
+        self.probability = np.zeros(grid.shape)
 
     def add_spot(self, spot: Spots) -> None:
         """Add a candidate's distribution, as far as it lies on the grid."""
         # Half a cell is added, so that a narrow distribution reaches the middle of a cell.
-        covariance = spot.covariance_m2[0] + (0.5 * self.cell_m) ** 2 * np.eye(2)
+        grid = self.grid
+        covariance = spot.covariance_m2[0] + (0.5 * grid.cell_m) ** 2 * np.eye(2)
         reach = SPREAD.reach_sds * np.sqrt(np.diag(covariance))
-        rows, cols = self.probability.shape
-        col = _cells(spot.easting_m[0] - self.west_m, reach[0], self.cell_m, cols)
-        row = _cells(self.north_m - spot.northing_m[0], reach[1], self.cell_m, rows)
+        col = _cells(spot.easting_m[0] - grid.west_m, reach[0], grid.cell_m, grid.cols)
+        row = _cells(grid.north_m - spot.northing_m[0], reach[1], grid.cell_m, grid.rows)
         if col.start >= col.stop or row.start >= row.stop:
             return
-        east = self.west_m + (np.arange(col.start, col.stop) + 0.5) * self.cell_m
-        north = self.north_m - (np.arange(row.start, row.stop) + 0.5) * self.cell_m
-        density = _density(covariance, east - spot.easting_m[0], north - spot.northing_m[0])
-        self.probability[row, col] += spot.share[0] * self.cell_m**2 * density
+        east = grid.eastings_m()[col] - spot.easting_m[0]
+        north = grid.northings_m()[row] - spot.northing_m[0]
+        density = _density(covariance, east, north)
+        self.probability[row, col] += spot.share[0] * grid.cell_m**2 * density
 
     def add_round(
         self,
@@ -411,13 +387,13 @@ class _Layer:
 
         They are blurred on a coarser grid, in groups of nearly equal deviations.
         """
-        rows, cols = self.probability.shape
-        step = max(1, int(sd_m.min() / (2.0 * self.cell_m)))
-        shape = -(-rows // step), -(-cols // step)
-        side_m = step * self.cell_m
+        grid = self.grid
+        step = max(1, int(sd_m.min() / (2.0 * grid.cell_m)))
+        shape = -(-grid.rows // step), -(-grid.cols // step)
+        side_m = step * grid.cell_m
         # Poses are fitted a little outside the squares of places, too.
-        row = np.clip((self.north_m - northing_m) // side_m, 0, shape[0] - 1).astype(np.intp)
-        col = np.clip((easting_m - self.west_m) // side_m, 0, shape[1] - 1).astype(np.intp)
+        row = np.clip((grid.north_m - northing_m) // side_m, 0, shape[0] - 1).astype(np.intp)
+        col = np.clip((easting_m - grid.west_m) // side_m, 0, shape[1] - 1).astype(np.intp)
         cell = np.ravel_multi_index((row, col), shape)
         level = np.rint(2.0 * np.log2(sd_m)).astype(np.intp)
         total = np.zeros(shape)
@@ -426,9 +402,14 @@ class _Layer:
             counted = np.bincount(cell[some], share[some], minlength=total.size).reshape(shape)
             sigma = float(2.0 ** (0.5 * one)) / side_m
             total += cv2.GaussianBlur(counted, (0, 0), sigma, borderType=cv2.BORDER_REFLECT)
-        size = shape[1] * step, shape[0] * step
-        finer = cv2.resize(total, size, interpolation=cv2.INTER_LINEAR)[:rows, :cols]
-        self.probability[:] += finer / step**2
+        self.probability += on_finer_cells(total, step, grid.shape) / step**2
+
+
+def on_finer_cells(coarse: Float64Array, step: int, shape: tuple[int, int]) -> Float64Array:
+    """Return the bilinear values (rows, cols) of cells ``step`` times as wide."""
+    rows, cols = coarse.shape
+    finer = cv2.resize(coarse, (cols * step, rows * step), interpolation=cv2.INTER_LINEAR)
+    return np.asarray(finer[: shape[0], : shape[1]])
 
 
 def _density(

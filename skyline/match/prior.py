@@ -20,8 +20,8 @@ import numpy as np
 
 from skyline.arrays import BoolArray, Complex128Array, Float64Array
 from skyline.errors import InputError, numbers_of, swapped_in_words
-from skyline.geodesy.bounds import check_bounds, in_turn
-from skyline.geodesy.map_frame import Frame, Rectangle
+from skyline.geodesy.bounds import Circle, check_bounds, in_turn
+from skyline.geodesy.map_frame import Frame, Rectangle, in_rectangle
 from skyline.match.screen import turns_within
 from skyline.photo.noted_place import NotedPlace
 from skyline.pose import Poses
@@ -141,18 +141,24 @@ class PlacePrior:
         east, north = (float(value) for value in frame.from_lonlat(*noted.lonlat_deg))
         if not (np.isfinite(east) and np.isfinite(north)):
             return None  # Too far from the frame to have a place in it.
-        grid_heading_deg = noted.heading_deg
-        if grid_heading_deg is not None:
-            grid_heading_deg -= float(frame.convergence_deg(easting_m=east, northing_m=north))
-        sd_m = noted_position_sd_m(noted)
-        compass_sd_deg = noted_heading_sd_deg(noted)
-        elevation_m = None
-        elevation_sd_m = _EXIF.least_altitude_sd_m
+        prior = cls(east, north, noted_position_sd_m(noted))
         if noted.accuracy_m is not None:
             # Other altitudes would pull an eye of unknown place to ground that is too high.
-            elevation_m = noted.elevation_m
-            elevation_sd_m = _altitude_sd_m(noted)
-        return cls(east, north, sd_m, grid_heading_deg, compass_sd_deg, elevation_m, elevation_sd_m)
+            prior = replace(
+                prior, elevation_m=noted.elevation_m, elevation_sd_m=_altitude_sd_m(noted)
+            )
+        return prior.looking_as(noted, frame)
+
+    def looking_as(self, noted: NotedPlace, frame: Frame) -> "PlacePrior":
+        """Return the prior with the compass direction that a photo notes, if any."""
+        if noted.heading_deg is None:
+            return self
+        turn_deg = frame.convergence_deg(easting_m=self.easting_m, northing_m=self.northing_m)
+        return replace(
+            self,
+            grid_heading_deg=noted.heading_deg - float(turn_deg),
+            heading_sd_deg=noted_heading_sd_deg(noted),
+        )
 
     def cost(
         self, place_m: Complex128Array, eye_m: Float64Array, heading_rad: Float64Array
@@ -373,7 +379,7 @@ class Narrowing:
         A value is out of its range, or does not have the numbers of its field.
     """
 
-    near: tuple[float, float, float] | None = None
+    near: Circle | None = None
     bounds_deg: tuple[float, float, float, float] | None = None
     heading_deg: tuple[float, float] | None = None
     elevation_m: tuple[float, float] | None = None
@@ -398,10 +404,10 @@ class Narrowing:
                 )
         if self.heading_deg is not None:
             heading, slack = self.heading_deg
-            if not (np.isfinite(heading) and 0.0 < slack <= 180.0):
+            if not (abs(heading) <= 360.0 and 0.0 < slack <= 180.0):
                 raise InputError(
                     f"heading is {heading:g} within {slack:g} degrees; expected a slack above 0, "
-                    "at most 180"
+                    "at most 180, and a heading from -360 to 360"
                 )
         if self.elevation_m is not None:
             low, high = self.elevation_m
@@ -432,8 +438,8 @@ class Prior:
     """Prior from the photo's EXIF."""
     exif: NotedPlace | None = None
     """The EXIF that ``noted`` is from."""
-    surroundings: tuple[float, float, float] | None = None
-    """Where a part of the search looks: longitude and latitude, degrees, and a radius, km."""
+    surroundings: Circle | None = None
+    """Where a part of the search looks."""
 
     @classmethod
     def of(
@@ -441,7 +447,7 @@ class Prior:
         narrowing: Narrowing,
         frame: Frame,
         exif: NotedPlace | None = None,
-        surroundings: tuple[float, float, float] | None = None,
+        surroundings: Circle | None = None,
     ) -> "Prior":
         """Return a narrowing in a frame, with the prior from EXIF.
 
@@ -449,7 +455,7 @@ class Prior:
         """
         noted = None if exif is None else PlacePrior.of_noted(exif, frame)
         rectangle = None
-        circles = (_circle_m(frame, one) for one in (narrowing.near, surroundings) if one)
+        circles = (frame.circle_m(one) for one in (narrowing.near, surroundings) if one)
         if narrowing.bounds_deg is not None:
             rectangle = frame.rectangle_m(narrowing.bounds_deg)
         return cls(narrowing, frame, tuple(circles), rectangle, noted, exif, surroundings)
@@ -490,9 +496,7 @@ class Prior:
         for east, north, radius_m in self.circles_m:
             inside &= (easting_m - east) ** 2 + (northing_m - north) ** 2 <= radius_m**2
         if self.rectangle_m is not None:
-            west, south, east, north = self.rectangle_m
-            inside &= (easting_m >= west) & (easting_m <= east)
-            inside &= (northing_m >= south) & (northing_m <= north)
+            inside &= in_rectangle(self.rectangle_m, easting_m, northing_m)
         return inside
 
     def allows(self, poses: Poses) -> BoolArray:
@@ -512,9 +516,9 @@ class Prior:
 
         ``frame`` is the prior's own, which a prior without a narrowing may lack.
         """
-        circle = _circle_m(frame, (lon, lat, radius_km))
+        circle = lon, lat, radius_km
         return replace(
-            self, circles_m=(*self.circles_m, circle), surroundings=(lon, lat, radius_km)
+            self, circles_m=(*self.circles_m, frame.circle_m(circle)), surroundings=circle
         )
 
     def near_noted(self) -> "Prior | None":
@@ -541,13 +545,6 @@ class Prior:
             if all(a.min() <= b.max() and b.min() <= a.max() for a, b in pairs):
                 return f"; {swapped_in_words(*given)}"
         return ""
-
-
-def _circle_m(frame: Frame, circle: tuple[float, float, float]) -> tuple[float, float, float]:
-    """Return the metres of a circle in degrees and kilometres."""
-    lon, lat, radius_km = circle
-    east, north = frame.from_lonlat(lon, lat)
-    return float(east), float(north), 1000.0 * radius_km
 
 
 NOTHING_KNOWN = Prior()

@@ -17,12 +17,11 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 
-import cv2
 import numpy as np
 
 from skyline.arrays import Float64Array
 from skyline.errors import InputError
-from skyline.match.posterior import Posterior
+from skyline.match.posterior import Posterior, on_finer_cells
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +45,8 @@ def check_times(times: Sequence[datetime]) -> None:
         raise InputError(f"a time is {other!r}; expected a datetime of Python or pandas")
     if len({one.tzinfo is None for one in times}) > 1:
         raise InputError(
-            "some photos' times have a zone, and some have none, as in EXIF; give all alike"
+            "some photos' times have a zone, and some have none; give all alike, in a list with a "
+            "column `time` beside `path`"
         )
 
 
@@ -90,7 +90,7 @@ def _messages(
     for own, away_m in zip(posteriors, reach_m, strict=False):
         product = own.probability.astype(np.float64) * message
         most = float(product.max())
-        message = _spread(product / (most or 1.0), away_m / own.cell_m)
+        message = _spread(product / (most or 1.0), away_m / own.grid.cell_m)
         yield message
 
 
@@ -98,16 +98,13 @@ def _spread(cells: Float64Array, radius: float) -> Float64Array:
     """Return values (R, C) spread over discs; radius in cells."""
     from scipy.signal import fftconvolve  # noqa: PLC0415  (slow to load, seldom needed)
 
-    rows, cols = cells.shape
     step = max(1, int(radius / _DISC.radius_cells))
-    padded = np.pad(cells, ((0, -rows % step), (0, -cols % step)))
+    padded = np.pad(cells, [(0, -count % step) for count in cells.shape])
     shape = padded.shape[0] // step, padded.shape[1] // step
     summed = padded.reshape(shape[0], step, shape[1], step).sum(axis=(1, 3))
     spread = fftconvolve(summed, _disc(radius / step), mode="same")
     spread[spread < _DISC.least_share * spread.max()] = 0.0
-    size = shape[1] * step, shape[0] * step
-    finer = cv2.resize(spread, size, interpolation=cv2.INTER_LINEAR)
-    return np.asarray(finer[:rows, :cols])
+    return on_finer_cells(spread, step, cells.shape)
 
 
 def _disc(radius: float) -> Float64Array:

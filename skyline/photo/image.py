@@ -59,6 +59,8 @@ _PHOTO_SUFFIXES = (
 _TIFF_SUFFIXES = (".tif", ".tiff", "")
 _GEO_KEYS = 34735
 """The tag of a GeoTIFF's coordinate reference system."""
+_COPY_OR_MASK = 0b101
+"""Bits of NewSubfileType: a page is a smaller copy, or a mask of transparency."""
 _HEIF_BRANDS = {b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1"}
 
 _pillow_limit = Lock()
@@ -214,13 +216,19 @@ def shrink_if_large(name: str, image: Image.Image, limits: SizeLimits = LIMITS) 
     """Decode a large JPEG smaller, and refuse other large images.
 
     A raw file is refused as well: a TIFF whose first picture is a preview, with 1 as its
-    NewSubfileType. Raises `InputError`.
+    NewSubfileType; and so is a TIFF of several pictures or layers. Raises `InputError`.
     """
     width, height = image.size
     if image.format == "TIFF" and image.getexif().get(Base.NewSubfileType) == 1:
         raise InputError(
             f"{name} begins with a preview of {width} x {height} px, as a raw file does; develop "
             "it, and save it as JPEG, PNG or TIFF"
+        )
+    # A page that a caller has chosen is read.
+    if image.format == "TIFF" and not image.tell() and (others := _other_pages(image)):
+        raise InputError(
+            f"{name} has {others + 1} pages or layers; expected one photo: flatten it, or save the "
+            "page as a file of its own"
         )
     if width * height <= limits.jpeg:
         for shrink in (2, 4, 8):
@@ -237,6 +245,19 @@ def shrink_if_large(name: str, image: Image.Image, limits: SizeLimits = LIMITS) 
             f"{limits.decoded / 1e6:.0f} ({limits.jpeg / 1e6:.0f} in a JPEG): scale it down, 20 "
             "are plenty"
         )
+
+
+def _other_pages(image: Image.Image) -> int:
+    """Return how many pages of a TIFF are neither smaller copies nor masks of its first one."""
+    width, height = image.size
+    count = 0
+    for page in range(1, getattr(image, "n_frames", 1)):
+        image.seek(page)
+        kind = image.getexif().get(Base.NewSubfileType, 0)
+        is_copy = image.width < width and image.height < height
+        count += not (kind & _COPY_OR_MASK or (is_copy and not kind))
+    image.seek(0)
+    return count
 
 
 def made_smaller(rgb: UInt8Array, longer_px: int) -> UInt8Array:

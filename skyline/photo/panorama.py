@@ -23,6 +23,9 @@ _SWEPT = 6.0
 """Value of CustomRendered that Apple's phones note for a panorama."""
 _SWEPT_HEIGHT = 0.83
 """Share of the camera's height that a swept panorama keeps: between 0.7 and nearly all."""
+_TALLEST = 4.0 / 3.0
+"""Greatest height over width of a panorama that was swept sideways: it begins with a whole frame,
+held upright."""
 _SWEPT_SD = 0.12
 """Relative standard deviation of a swept panorama's width."""
 
@@ -102,6 +105,8 @@ def swept_lens_of(tags: Tags, size_px: tuple[int, int]) -> Lens | None:
     if equivalent_mm is None:
         return Lens(reason="EXIF says that the photo is a panorama, but not how wide")
     width, height = size_px
+    if height > _TALLEST * width:
+        return Lens(reason="EXIF says that the photo is a panorama, swept up or down")
     focal_px = equivalent_mm / 36.0 * height / _SWEPT_HEIGHT
     fov_deg = min(degrees(width / focal_px), MAX_PANORAMA_DEG)
     reason = f"EXIF says that the photo is a panorama: about {fov_deg:.0f} degrees"

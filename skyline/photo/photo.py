@@ -162,12 +162,14 @@ def read_noted_place(path: Picture) -> NotedPlace:
 def read_noted_time(path: Picture) -> datetime | None:
     """Return the time in a photo's EXIF, by the camera's clock.
 
-    None for a trace, and where EXIF notes no time. Raises as `read_photo`.
+    It has a zone if EXIF notes one. None for a trace, and where EXIF notes no time. Raises as
+    `read_photo`.
     """
     if is_table(path):
         return None
     with opened_image(path) as image:
-        return time_of(image.getexif().get_ifd(IFD.Exif), Base.DateTimeOriginal)
+        exif = image.getexif().get_ifd(IFD.Exif)
+        return time_of(exif, Base.DateTimeOriginal, Base.OffsetTimeOriginal)
 
 
 def check_fov(fov_deg: float | None, projection: Projection | None) -> None:

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Mapping
+from contextlib import suppress
 from datetime import datetime
 from math import isfinite
 
@@ -47,9 +48,14 @@ def positive(value: object) -> float | None:
     return number if number is not None and number > 0.0 else None
 
 
-def time_of(tags: Tags, tag: int) -> datetime | None:
-    """Return the camera's time in a tag; None without one."""
-    try:
-        return datetime.strptime(text_of(tags, tag), "%Y:%m:%d %H:%M:%S")
-    except ValueError:
-        return None
+def time_of(tags: Tags, tag: int, zone_tag: int | None = None) -> datetime | None:
+    """Return the camera's time in a tag; None without one.
+
+    It has the zone in another tag, if that notes one.
+    """
+    text = text_of(tags, tag)
+    zone = "" if zone_tag is None else text_of(tags, zone_tag)
+    for given, form in ((text + zone, "%Y:%m:%d %H:%M:%S%z"), (text, "%Y:%m:%d %H:%M:%S")):
+        with suppress(ValueError):
+            return datetime.strptime(given, form)
+    return None

@@ -5,15 +5,17 @@ from typing import Any
 
 from numpy.typing import NDArray
 
+from skyline.geodesy.cell_grid import CellGrid
+from skyline.geodesy.map_frame import Frame
+
 GEOTIFFS = (".tif", ".tiff")
 """Suffixes of the files."""
 
 
 def geotiff(
     bands: NDArray[Any],
-    north_west_m: tuple[float, float],
-    cell_m: float,
-    wkt: str,
+    grid: CellGrid,
+    frame: Frame,
     *,
     colours: Sequence[str] = (),
     names: Sequence[str] = (),
@@ -21,21 +23,19 @@ def geotiff(
 ) -> bytes:
     """Return bands (B, rows, cols) of cells as a GeoTIFF.
 
-    The north-western corner is an easting and a northing of the frame ``wkt``. ``colours`` and
-    ``names`` describe each band; ``options`` are GDAL's for the file.
+    ``colours`` and ``names`` describe each band; ``options`` are GDAL's for the file.
     """
     from rasterio.enums import ColorInterp  # noqa: PLC0415  (slow to load)
     from rasterio.io import MemoryFile  # noqa: PLC0415
     from rasterio.transform import from_origin  # noqa: PLC0415
 
-    count, height, width = bands.shape
     about = {
-        "count": count,
-        "height": height,
-        "width": width,
+        "count": len(bands),
+        "height": grid.rows,
+        "width": grid.cols,
         "dtype": bands.dtype.name,
-        "crs": wkt,
-        "transform": from_origin(*north_west_m, cell_m, cell_m),
+        "crs": frame.wkt,
+        "transform": from_origin(grid.west_m, grid.north_m, grid.cell_m, grid.cell_m),
     }
     with MemoryFile() as memory:
         with memory.open(driver="COG", compress="deflate", **about, **options) as raster:

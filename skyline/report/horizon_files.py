@@ -15,7 +15,7 @@ from skyline.errors import InputError, suffix_of
 from skyline.files import write_whole
 from skyline.geodesy.bounds import in_turn
 from skyline.geodesy.crs import is_of_earth, other_world_in_words
-from skyline.horizons import LocalHorizons
+from skyline.local_horizons import LocalHorizons
 from skyline.tables import csv_lines
 
 

@@ -12,7 +12,7 @@ from matplotlib.text import Text
 from skyline.errors import some_of
 from skyline.files import has_mark
 from skyline.fonts import fonts_for, packages_with, undrawn_letters
-from skyline.peaks import S, Sighting
+from skyline.sightings import S, Sighting
 
 _MARK = "Software", "Skyline"
 """Name and content of a text in all PNG files that are written here."""

@@ -27,9 +27,9 @@ from skyline.arrays import BoolArray, Float32Array, Float64Array, FloatArray, UI
 from skyline.errors import InputError
 from skyline.geodesy.bounds import degrees_in_words, in_turn
 from skyline.geodesy.map_frame import Frame
-from skyline.peaks import Sighting
 from skyline.pose import Ellipse, Pose, view_wedge_m
 from skyline.report.labels import Label, UnnamedPeaks, labels_of
+from skyline.sightings import Sighting
 from skyline.terrain.dem import Dem, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints

@@ -18,6 +18,7 @@ from skyline.arrays import BoolArray, Float32Array, Float64Array
 from skyline.camera import Camera
 from skyline.errors import InputError, suffix_of
 from skyline.files import write_whole
+from skyline.geodesy.cell_grid import CellGrid
 from skyline.ground import GroundErrors, GroundPoints, GroundView
 from skyline.report.geotiff import GEOTIFFS, geotiff
 from skyline.terrain.heightfield import HeightField
@@ -45,24 +46,6 @@ class OrthoSettings:
 
 
 _SETTINGS = OrthoSettings()
-
-
-@dataclass(frozen=True, slots=True)
-class CellGrid:
-    """Square cells on the map, from their north-western corner in a frame."""
-
-    west_m: float
-    north_m: float
-    cell_m: float
-    rows: int
-    cols: int
-
-    def middles_m(self) -> tuple[Float64Array, Float64Array]:
-        """Return eastings and northings (rows, cols) of the cells' middles."""
-        east = self.west_m + (np.arange(self.cols) + 0.5) * self.cell_m
-        north = self.north_m - (np.arange(self.rows) + 0.5) * self.cell_m
-        easting_m, northing_m = np.meshgrid(east, north)
-        return easting_m, northing_m
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -163,8 +146,8 @@ def _lengths_m(points: GroundPoints) -> Float64Array:
 
 def lay(view: GroundView, picture: NDArray[Any], grid: CellGrid) -> Laid:
     """Lay a camera's picture (H, W, C) on a grid."""
-    shape = (grid.rows, grid.cols)
-    east_m, north_m = grid.middles_m()
+    shape = grid.shape
+    east_m, north_m = np.meshgrid(grid.eastings_m(), grid.northings_m())
     found = view.pixels(east_m.ravel(), north_m.ravel(), _SETTINGS.most_off * grid.cell_m)
     column, row = (one.reshape(shape) for one in (found.column_px, found.row_px))
     height_px, width_px = picture.shape[:2]
@@ -267,6 +250,4 @@ def _write(
     **options: Any,
 ) -> None:
     suffix_of(path, GEOTIFFS)
-    corner_m = grid.west_m, grid.north_m
-    wkt = terrain.frame.wkt
-    write_whole(path, geotiff(bands, corner_m, grid.cell_m, wkt, colours=colours, **options))
+    write_whole(path, geotiff(bands, grid, terrain.frame, colours=colours, **options))

@@ -18,7 +18,7 @@ from skyline.arrays import Float64Array, UInt8Array
 from skyline.errors import suffix_of
 from skyline.files import write_whole
 from skyline.geodesy.bounds import degrees_in_words
-from skyline.peaks import Peaks, Sighting
+from skyline.peaks import Peaks
 from skyline.report.labels import (
     Label,
     UnnamedPeaks,
@@ -34,6 +34,7 @@ from skyline.report.panorama_view import (
     panorama_view,
     row_count,
 )
+from skyline.sightings import Sighting
 from skyline.terrain.dem import Dem, read_dem
 from skyline.terrain.surface_model import read_surface
 from skyline.terrain.viewpoints import stand_at_one

@@ -111,9 +111,8 @@ def _geotiff(posterior: Posterior) -> bytes:
     """Return the probability of each cell as a GeoTIFF."""
     return geotiff(
         posterior.probability[np.newaxis],
-        (posterior.west_m, posterior.north_m),
-        posterior.cell_m,
-        posterior.frame.wkt,
+        posterior.grid,
+        posterior.frame,
         names=["probability of the cell"],
         predictor="yes",
     )

@@ -35,13 +35,19 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from skyline.arrays import Float32Array, Float64Array, IntArray, Rows, UInt8Array
+from skyline.arrays import (
+    Complex64Array,
+    Float32Array,
+    Float64Array,
+    IntArray,
+    Rows,
+    UInt8Array,
+)
 from skyline.skylines import Horizons
 
 _Item = TypeVar("_Item", bound=np.generic)
 
 Int8Array = NDArray[np.int8]
-Complex64Array = NDArray[np.complex64]
 
 BINS = 360
 """Azimuth bins of a place's skyline."""

@@ -20,7 +20,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from skyline.arrays import BoolArray, Int64Array, IntArray
+from skyline.arrays import Index, Int64Array, IntArray
 from skyline.errors import InputError, MissingFileError, StoreError
 from skyline.geodesy.map_frame import Frame
 from skyline.skylines import Views
@@ -46,8 +46,6 @@ from skyline.terrain.viewpoints import Viewpoints
 if TYPE_CHECKING:
     from geopandas import GeoDataFrame
     from xarray import Dataset
-
-RowIndex = int | slice | NDArray[np.integer] | BoolArray
 
 
 class Store:
@@ -116,7 +114,7 @@ class Store:
         sha.update(self.stored_as(self.header.checksum).tobytes())
         return sha.hexdigest()
 
-    def views(self, index: RowIndex = slice(None)) -> Views:
+    def views(self, index: Index = slice(None)) -> Views:
         """Read views.
 
         Parameters
@@ -136,7 +134,7 @@ class Store:
         fields: Any = {field: self._read(name, rows) for field, name in self.header.fields.items()}
         return Views(**fields)
 
-    def stored(self, index: RowIndex = slice(None)) -> Columns:
+    def stored(self, index: Index = slice(None)) -> Columns:
         """Read rows as stored, by dataset; raises as `views`."""
         rows = self._indexed(index)
         return {name: self._read(name, rows) for name in self.header.specs}
@@ -145,7 +143,7 @@ class Store:
         """Read all rows of one dataset; raises as `views`."""
         return self._read(name, self._indexed(slice(None)))
 
-    def keypoint_columns(self, index: RowIndex = slice(None)) -> KeypointColumns:
+    def keypoint_columns(self, index: Index = slice(None)) -> KeypointColumns:
         """Read keypoints (N, K) uint16, padded with 65535; otherwise as `views`."""
         self.expect(RENDERINGS)
         return self._read(KEYPOINTS, self._indexed(index))
@@ -174,7 +172,7 @@ class Store:
         with explained(self.path, "it cannot be mapped"):
             return PlaceMap(self.path, self._raw.fileno(), self.header, len(self), offsets)
 
-    def to_xarray(self, index: RowIndex = slice(None)) -> Dataset:
+    def to_xarray(self, index: Index = slice(None)) -> Dataset:
         """Return rows as an `xarray.Dataset` (extra ``geo``), in memory.
 
         Parameters
@@ -207,7 +205,7 @@ class Store:
             data = dataset_of_views(self.views(index), rows, frame)
         return data
 
-    def to_geodataframe(self, index: RowIndex = slice(None)) -> GeoDataFrame:
+    def to_geodataframe(self, index: Index = slice(None)) -> GeoDataFrame:
         """Return places as points (extra ``geo``), in memory.
 
         Parameters
@@ -241,7 +239,7 @@ class Store:
                 f"{holds}, which {MADE_BY[holds]} makes"
             )
 
-    def _indexed(self, index: RowIndex) -> IntArray:
+    def _indexed(self, index: Index) -> IntArray:
         try:
             return np.atleast_1d(np.arange(len(self))[index])
         except IndexError as error:

@@ -15,7 +15,7 @@ import numpy as np
 
 from skyline.arrays import Float64Array, Int64Array, IntArray, Rows
 from skyline.errors import InputError
-from skyline.geodesy.map_frame import Rectangle
+from skyline.geodesy.map_frame import Rectangle, in_rectangle
 from skyline.skylines import Horizons
 from skyline.store.places import Places
 from skyline.survey.expected_losses import lost_shares
@@ -208,10 +208,8 @@ def planned_places(
         nodes = _next_lattice(nodes[halved], level)
     some = Places.concatenate(seen.places)[np.concatenate(rows)]
     places = replace(some, tolerance_m=np.concatenate(tolerances_m))
-    order = np.lexsort((places.easting_m, -places.northing_m))
-    east_m, north_m = places.easting_m[order], places.northing_m[order]
-    order = order[(east_m >= west) & (east_m <= east) & (north_m >= south) & (north_m <= north)]
-    return places[order]
+    places = places[in_rectangle(area, places.easting_m, places.northing_m)]
+    return places[np.lexsort((places.easting_m, -places.northing_m))]
 
 
 _UNTRIED = -2

@@ -189,10 +189,11 @@ class RenderingPlan:
         """Return the plan of given viewpoints."""
         eyes = viewpoints.easting_m, viewpoints.northing_m, viewpoints.eye_elevation_m
         digest = hashlib.sha256(b"".join(column.tobytes() for column in eyes)).hexdigest()
+        # Each eye has a height of its own.
         about: dict[str, object] = {
             "planner": "viewpoints",
             "viewpoints_digest": digest,
-            "eye_height_m": None,  # Each viewpoint has its own.
+            "eye_height_m": None,
         }
         return cls(viewpoints, about, config)
 

@@ -7,16 +7,15 @@ from pathlib import Path
 
 import numpy as np
 
-from skyline.camera import Projection
 from skyline.errors import InputError, suffix_of
 from skyline.files import GEOJSON, check_outputs, on_disk, write_whole
 from skyline.ground import GroundErrors, GroundView
 from skyline.ground_shapes import GroundShape, Jump, Measure, in_photo, on_ground
 from skyline.photo.photo import Photo
-from skyline.pose_file import read_posed
 from skyline.report.vector_files import MAP_FILES, write_in_photo, write_on_map
 from skyline.tasks.label import LABEL_FILES
 from skyline.tasks.listener import Listener
+from skyline.tasks.photo_task import PosedTask
 from skyline.tasks.standing import assumed_lines, shown_pose
 from skyline.tasks.terrain import read_terrain
 from skyline.terrain.dem_files import dem_names
@@ -31,25 +30,16 @@ DRAWN_FILES = tuple(dict.fromkeys([*MAP_FILES, *PHOTO_FILES]))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class DrawTask:
+class DrawTask(PosedTask):
     """A photo, its camera's pose, vectors, and the file to write."""
 
-    photo: Path
-    pose: Path
-    """File of the pose."""
     vectors: Path
     """Vectors of the photo, or of the map."""
-    dem: Sequence[str]
-    """Elevation files, or folders of them."""
-    crs: str | None = None
-    """CRS of elevation files that name none."""
     output: Path
     """File of the kinds of `MAP_FILES` for vectors of the photo, else of `PHOTO_FILES`."""
     in_pixels: bool = False
     """Whether GeoJSON is in pixels even if it does not say so."""
     errors: GroundErrors = GroundErrors()  # noqa: RUF009  (it is frozen)
-    projection: Projection | None = None
-    """By default from the photo."""
 
 
 def draw_vectors(task: DrawTask, listener: Listener) -> list[str]:
@@ -63,7 +53,7 @@ def draw_vectors(task: DrawTask, listener: Listener) -> list[str]:
     names = dem_names(task.dem)
     inputs = [task.photo, task.pose, task.vectors, *map(Path, map(on_disk, names))]
     check_outputs([task.output], inputs)
-    picture, noted = read_posed(task.photo, task.pose, task.projection)
+    picture, noted = task.read()
     photo = picture.blank
     vectors = read_vectors(task.vectors, task.photo, task.in_pixels)
     _check_kind(task, vectors, suffix)

@@ -1,27 +1,24 @@
 """Labelling a photo with the names of its summits."""
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from skyline.arrays import UInt8Array
-from skyline.camera import Projection
 from skyline.errors import InputError, some_of, suffix_of
 from skyline.files import check_outputs, write_whole
 from skyline.noted_pose import NotedPose
 from skyline.orienter import orienters
 from skyline.peaks import read_peaks
-from skyline.photo.photo import read_photo
 from skyline.photo.read import find_skyline
 from skyline.photo.skyline import PhotoSkyline
 from skyline.pose import Pose
-from skyline.pose_file import read_posed
 from skyline.sun import Body, Sky
 from skyline.tasks.listener import Listener
-from skyline.tasks.orient import CameraAt
+from skyline.tasks.photo_task import CameraTask
 from skyline.tasks.standing import shown_pose
 from skyline.tasks.terrain import read_terrain
 from skyline.view import SeenBody, SeenPeak, UnseenPeaks, Viewer
@@ -38,25 +35,13 @@ _BODY_COLUMNS = ("name", "column_px", "row_px", "azimuth_deg", "elevation_deg", 
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class LabelTask:
+class LabelTask(CameraTask):
     """A photo to label, and what is known of its camera."""
 
-    photo: Path
-    dem: Sequence[str]
-    """Elevation files, or folders of them."""
-    crs: str | None = None
-    """CRS of elevation files that name none."""
     peaks: Path | None
     """Gazetteer; None draws only the sun and the moon."""
     output: Path
     """The copy with names, of a kind in `LABEL_FILES`."""
-    at: CameraAt = CameraAt()  # noqa: RUF009  (it is frozen)
-    pose: Path | None = None
-    """File of the pose, in place of a position."""
-    fov_deg: float | None = None
-    """By default from the photo."""
-    projection: Projection | None = None
-    """By default from the pose, else from the photo."""
     ridges: bool = False
     """Whether the skyline of the elevation model is drawn, too."""
     time: datetime | None = None
@@ -80,25 +65,14 @@ def label_photo(task: LabelTask, listener: Listener) -> list[str]:
     direction is not sure, and `OffMapError` for a position off the map.
     """
     suffix_of(task.output, LABEL_FILES)
-    if task.pose is not None and (task.at != CameraAt() or task.fov_deg is not None):
-        raise InputError(
-            "--pose has the position, the heading and the field of view; leave --at, --elevation, "
-            "--heading and --fov-deg out"
-        )
     if task.peaks is None and task.time is None:
         raise InputError(
             "there is nothing to name; give the summits as --peaks FILE, or the photo's --time for "
             "the sun and the moon"
         )
     check_outputs([task.output], [task.photo, *filter(None, [task.pose, task.peaks])])
-    noted = None
-    if task.pose is not None:
-        picture, noted = read_posed(task.photo, task.pose, task.projection)
-        photo = picture.blank
-    else:
-        picture = read_photo(task.photo, task.fov_deg, projection=task.projection)
-        photo = find_skyline(picture)
-        task.at.position_of(photo, str(task.photo))  # Refused before the DEM is read
+    picture, noted = task.read()
+    photo = picture.blank if noted is not None else find_skyline(picture)
     terrain = read_terrain(listener, task.dem, task.crs)
     gazetteer = None if task.peaks is None else read_peaks(task.peaks, terrain.frame)
     with Viewer(terrain, gazetteer) as viewer:

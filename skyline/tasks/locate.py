@@ -6,7 +6,7 @@ The store of the area is made or found in the cache, and searched.
 import os
 import shlex
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from skyline.batch import Entry, usable_entries
@@ -18,76 +18,38 @@ from skyline.tasks.listener import Listener
 from skyline.tasks.match import MatchTask, match_photos
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LocateTask:
-    """Photos of one area, and where its elevation comes from."""
-
-    entries: Sequence[Entry]
-    """The photos."""
-    common: Entry
-    """What is known of every photo."""
-    inputs: Sequence[Path] = ()
-    """Files that the user has named as photos: no output replaces them."""
-    dem: Sequence[str] = ()
-    """Elevation files, or folders of them; by default tiles are fetched."""
-    source: str | None = None
-    """Source of tiles, as for `prepare_area`."""
-    same_place: bool = False
-    """Whether all photos were taken at one place."""
-    report: Path
-    """Folder of a page with pictures and maps."""
-    peaks: Path | None = None
-    """Gazetteer of the page."""
-    exports: Sequence[Path] = ()
-    """Files of the candidates, as in `MatchTask`."""
-    probability: Sequence[Path] = ()
-    """Files of the posteriors, as in `MatchTask`."""
-    walked_km_h: float | None = None
-    """As in `MatchTask`."""
-
-
-def locate_photos(task: LocateTask, listener: Listener) -> int:
+def locate_photos(search: MatchTask, source: str | None, listener: Listener) -> int:
     """Find where photos were taken, and show the results.
 
-    The photos or the user name the area. Returns the exit code as `match_photos`. Raises
-    `InputError` if no photo can be read, the area is unknown, or the DEM does not cover it, and
-    `FetchError` if a server fails.
+    The photos or the user name the area, so ``search`` has no stores yet. If it has no elevation
+    files either, tiles are fetched from ``source``, as by `prepare_area`. Returns the exit code as
+    `match_photos`. Raises `InputError` if no photo can be read, the area is unknown, or the DEM
+    does not cover it, and `FetchError` if a server fails.
     """
-    if task.dem and task.source:
+    if search.dem and source:
         raise InputError(
             "give one of --dem (files at hand; also $SKYLINE_DEM) and --source (tiles to fetch)"
         )
     # These checks come before minutes of work.
-    usable = usable_entries(task.entries)
-    if task.peaks is not None and not task.peaks.is_file():
-        raise MissingFileError(f"{task.peaks} does not exist; expected peaks to name")
-    search = MatchTask(
-        stores=(),
-        entries=task.entries,
-        common=task.common,
-        inputs=task.inputs,
-        same_place=task.same_place,
-        report=task.report,
-        peaks=task.peaks,
-        exports=task.exports,
-        probability=task.probability,
-        walked_km_h=task.walked_km_h,
-    )
+    usable = usable_entries(search.entries)
+    if search.peaks is not None and not search.peaks.is_file():
+        raise MissingFileError(f"{search.peaks} does not exist; expected peaks to name")
     search.check_files()
-    area, narrowing = area_of([one.path for one in usable], task.common.narrowing)
+    given = search.common.narrowing
+    area, narrowing = area_of([one.path for one in usable], given)
     before = cached_files()
     listener.keeps(
         "what was fetched and built is kept, and the same command continues from there",
         lambda: bool(cached_files() - before),
     )
-    ready = prepare_area(area, task.dem, task.source, listener.note, listener.progress)
+    ready = prepare_area(area, search.dem, source, listener.note, listener.progress)
     listener.keeps(f"the area is kept in {ready.folder}")
     serve = serving_command(ready.folder, [one.path for one in usable])
     found_in = replace(
         search,
         stores=(ready.store,),
-        entries=[_within(one, task.common.narrowing, narrowing) for one in task.entries],
-        common=replace(task.common, narrowing=narrowing),
+        entries=[_within(one, given, narrowing) for one in search.entries],
+        common=replace(search.common, narrowing=narrowing),
         dem=[str(ready.terrain)],
         serve=serve,
     )

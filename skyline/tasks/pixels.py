@@ -1,37 +1,27 @@
 """The position on the terrain that each pixel of a photo shows."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from skyline.camera import Projection
 from skyline.errors import suffix_of
 from skyline.files import check_outputs, on_disk
-from skyline.pose_file import read_posed
+from skyline.pixel_places import PIXEL_FILES, PixelPlaces
 from skyline.tasks.listener import Listener
+from skyline.tasks.photo_task import PosedTask
 from skyline.tasks.standing import shown_pose
 from skyline.tasks.terrain import read_terrain, refuse_in_dem
 from skyline.terrain.dem_files import dem_names
-from skyline.view import PIXEL_FILES, PixelPlaces, Viewer
+from skyline.view import Viewer
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PixelsTask:
+class PixelsTask(PosedTask):
     """A photo, its camera's pose, and the file to write."""
 
-    photo: Path
-    pose: Path
-    """File of the pose."""
-    dem: Sequence[str]
-    """Elevation files, or folders of them."""
-    crs: str | None = None
-    """CRS of elevation files that name none."""
     output: Path
     """File of the kinds of `PIXEL_FILES`."""
     step: int = 1
     """Distance of the rows and columns that are taken."""
-    projection: Projection | None = None
-    """By default from the pose, else from the photo."""
 
 
 def place_pixels(task: PixelsTask, listener: Listener) -> PixelPlaces:
@@ -45,7 +35,7 @@ def place_pixels(task: PixelsTask, listener: Listener) -> PixelPlaces:
     check_outputs([task.output], [task.photo, task.pose, *map(Path, map(on_disk, names))])
     if suffix == ".tif":
         refuse_in_dem(task.output, task.dem)
-    picture, noted = read_posed(task.photo, task.pose, task.projection)
+    picture, noted = task.read()
     terrain = read_terrain(listener, names, task.crs)
     with listener.progress("following rays") as progress, Viewer(terrain) as viewer:
         pose = shown_pose(noted, viewer, listener)

@@ -1,42 +1,26 @@
 """Orienting a photo by control points."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from skyline.camera import Projection
 from skyline.control_points import KnownCamera, PointErrors, PointsFit, fit_points
 from skyline.errors import InputError, check_suffix
 from skyline.files import check_outputs
-from skyline.photo.photo import read_photo
 from skyline.photo.skyline import PhotoSkyline
 from skyline.point_files import POINT_FILES, read_control_points, write_control_points
-from skyline.pose_file import read_posed
 from skyline.tasks.listener import Listener
-from skyline.tasks.orient import CameraAt
+from skyline.tasks.photo_task import CameraTask
 from skyline.tasks.standing import shown_pose
 from skyline.tasks.terrain import read_terrain
 from skyline.view import Viewer
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PointsTask:
-    """A photo and its control points."""
+class PointsTask(CameraTask):
+    """A photo, its control points, and a pose that they refine or what is known of it."""
 
-    photo: Path
     points: Path
     """File of the kinds of `POINT_FILES`."""
-    dem: Sequence[str]
-    """Elevation files, or folders of them."""
-    crs: str | None = None
-    """CRS of elevation files that name none."""
-    at: CameraAt = CameraAt()  # noqa: RUF009  (it is frozen)
-    pose: Path | None = None
-    """File of a pose to refine, in place of a position."""
-    fov_deg: float | None = None
-    """By default from the photo."""
-    projection: Projection | None = None
-    """By default from the photo."""
     errors: PointErrors = PointErrors()  # noqa: RUF009  (it is frozen)
     residuals: Path | None = None
     """File of the points with their residuals, of the kinds of `POINT_FILES`."""
@@ -51,22 +35,11 @@ def orient_by_points(task: PointsTask, listener: Listener) -> PointsFit:
     if task.residuals is not None:
         check_suffix(task.residuals, POINT_FILES)
     check_outputs([task.residuals], [task.photo, task.points, *filter(None, [task.pose])])
-    if task.pose is not None and (task.at != CameraAt() or task.fov_deg is not None):
-        raise InputError(
-            "--pose has the position, the heading and the field of view; leave --at, --elevation, "
-            "--position-sd, --heading and --fov-deg out"
-        )
     points = read_control_points(task.points)
-    noted = None
-    if task.pose is None:
-        picture = read_photo(task.photo, task.fov_deg, projection=task.projection)
-    else:
-        picture, noted = read_posed(task.photo, task.pose, task.projection)
+    picture, noted = task.read()
     photo = picture.blank
     points.check_photo(task.photo, photo.width_px, photo.height_px)
-    if noted is None:
-        task.at.position_of(photo, str(task.photo))  # Refused before the DEM is read
-    elif noted.covariance is None:
+    if noted is not None and noted.covariance is None:
         raise InputError(
             f"{task.pose} has no covariance, so nothing says how far it may be refined; give the "
             "output of `match --json` or `orient --json`, or its position with --at"

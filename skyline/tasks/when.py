@@ -1,13 +1,10 @@
 """Telling a photo's time or heading by the sun or the moon."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import date, datetime
-from pathlib import Path
 
-from skyline.camera import Pixel, Projection
+from skyline.camera import Pixel
 from skyline.pose import Pose
-from skyline.pose_file import read_posed
 from skyline.sun import Body, Sky, check_is_earth
 from skyline.sun_clock import (
     ClockTime,
@@ -18,29 +15,21 @@ from skyline.sun_clock import (
     times_at,
 )
 from skyline.tasks.listener import Listener
+from skyline.tasks.photo_task import PosedTask
 from skyline.tasks.standing import shown_pose
 from skyline.tasks.terrain import read_terrain
 from skyline.view import Viewer
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class WhenTask:
+class WhenTask(PosedTask):
     """A photo of sun, moon or shadow, and its day or time."""
 
-    photo: Path
-    pose: Path
-    """File of the pose."""
-    dem: Sequence[str]
-    """Elevation files, or folders of them."""
-    crs: str | None = None
-    """CRS of elevation files that name none."""
     marked: tuple[Pixel, ...]
     """The middle of a disc; or a shadow's tip and foot, and perhaps the top of what casts it."""
     body: Body = Body.SUN
     known: date | datetime
     """The day whose time is wanted, or the time at which the heading is wanted."""
-    projection: Projection | None = None
-    """By default from the photo."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +60,7 @@ def tell_when(task: WhenTask, listener: Listener) -> Told:
     Raises `InputError` if the photo or its pose cannot be read, a pixel cannot be used, or the body
     does not stand there, and `OffMapError` for a pose off the map.
     """
-    picture, noted = read_posed(task.photo, task.pose, task.projection)
+    picture, noted = task.read()
     photo = picture.blank
     terrain = read_terrain(listener, task.dem, task.crs)
     check_is_earth(terrain.frame.crs)

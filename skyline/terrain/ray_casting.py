@@ -33,8 +33,7 @@ def edge_crossings_m(
     them; all other distances are ``near_m``.
     """
     row, col = field.to_grid(easting_m=eye.easting_m, northing_m=eye.northing_m)
-    down = -np.cos(azimuth_rad) / field.spacing_north_m
-    right = np.sin(azimuth_rad) / field.spacing_east_m
+    down, right = _samples_a_metre(field, azimuth_rad)
     crossings_m = []
     for start, a_metre in ((row, down), (col, right), (col - row, right - down)):
         ends = start + a_metre * np.stack([near_m, far_m])
@@ -46,6 +45,46 @@ def edge_crossings_m(
     away_m = np.concatenate(crossings_m, axis=1)
     is_between = (away_m > near_m[:, np.newaxis]) & (away_m < far_m[:, np.newaxis])
     return np.where(is_between, away_m, near_m[:, np.newaxis]), is_between
+
+
+def highest_between_deg(
+    terrain: HeightField,
+    eye: Viewpoints,
+    curvature: Curvature,
+    grid_rad: Float64Array,
+    near_m: Float64Array,
+    far_m: Float64Array,
+) -> Float64Array:
+    """Return the highest elevation angle of the terrain on each ray.
+
+    Each of one eye's K rays is followed along its grid azimuth between two distances (K,). The
+    surface is a plane between two edges, so the highest angle is at an edge. It is -90 without
+    data.
+    """
+    away_m, is_between = edge_crossings_m(terrain, eye, grid_rad, near_m, far_m)
+    up_deg = ground_elevation_deg(terrain, eye, curvature, grid_rad, away_m)
+    return np.asarray(np.where(is_between, up_deg, -90.0).max(axis=1))
+
+
+def ground_elevation_deg(
+    terrain: HeightField,
+    eye: Viewpoints,
+    curvature: Curvature,
+    grid_rad: Float64Array,
+    distance_m: Float64Array,
+) -> Float64Array:
+    """Return the ground's elevation angles (K, D) along one eye's rays.
+
+    The rays have grid azimuths (K,); the horizontal distances are (D,) or (K, D). The angle is -90
+    without data.
+    """
+    ground_m = terrain.height_at(
+        easting_m=eye.easting_m[0] + distance_m * np.sin(grid_rad)[:, np.newaxis],
+        northing_m=eye.northing_m[0] + distance_m * np.cos(grid_rad)[:, np.newaxis],
+    )
+    drop_m = eye.eye_elevation_m[0] + curvature.drop_m(distance_m)
+    up_deg = np.degrees(np.arctan((ground_m - drop_m) / distance_m))
+    return np.asarray(np.nan_to_num(up_deg, nan=-90.0))
 
 
 def first_hits_m(
@@ -148,8 +187,7 @@ def _carried_over(
     Where it does not converge, the distance is ``near_m``.
     """
     eye_row, eye_col = field.to_grid(easting_m=eye.easting_m, northing_m=eye.northing_m)
-    down = -np.cos(azimuth_rad) / field.spacing_north_m
-    right = np.sin(azimuth_rad) / field.spacing_east_m
+    down, right = _samples_a_metre(field, azimuth_rad)
 
     def over(away_m: Float64Array) -> tuple[Float64Array, Float64Array]:
         """Return the terrain's height above rays, and its slope with distance."""
@@ -177,6 +215,14 @@ def _carried_over(
     # The distance at a nearby azimuth may differ by two samples.
     is_met &= np.abs(away_m - near_m) <= 2.0 * field.spacing_m
     return np.where(is_met & (away_m > 0.0), away_m, near_m)
+
+
+def _samples_a_metre(
+    field: HeightField, azimuth_rad: Float64Array
+) -> tuple[Float64Array, Float64Array]:
+    """Return how many samples rays pass in a metre, down the rows and to the right."""
+    down = -np.cos(azimuth_rad) / field.spacing_north_m
+    return down, np.sin(azimuth_rad) / field.spacing_east_m
 
 
 def _border_m(field: HeightField, eye: Viewpoints, azimuth_rad: Float64Array) -> Float64Array:

@@ -13,6 +13,9 @@ from numpy.typing import ArrayLike
 from skyline.arrays import Float64Array
 from skyline.terrain.heightfield import HeightField
 
+SUMMIT_RADIUS_M = 150.0
+"""Greatest distance of a summit from its named place; terrain this near to a summit does not hide
+it."""
 _BESIDE = 1e-8 * np.exp(1j * np.radians([22.5, 67.5, 135.0, 202.5, 247.5, 315.0]))
 """Steps from a sample into each triangle around it, in samples to the east plus i times to the
 south."""
@@ -75,6 +78,30 @@ def highest_within(
     )
     best = np.lexsort((np.abs(point), -height))[0]
     return float(easting[best]), float(northing[best])
+
+
+def summit_near(
+    terrain: HeightField, easting_m: float, northing_m: float
+) -> tuple[float, float, float] | None:
+    """Return easting, northing and height of the highest sample near a place.
+
+    Returns None off the terrain, and where there is no sample.
+    """
+    row, col = (float(at) for at in terrain.to_grid(easting_m=easting_m, northing_m=northing_m))
+    if not (0.0 <= row <= terrain.rows - 1 and 0.0 <= col <= terrain.cols - 1):
+        return None
+    reach_rows = max(1.0, SUMMIT_RADIUS_M / terrain.spacing_north_m)
+    reach_cols = max(1.0, SUMMIT_RADIUS_M / terrain.spacing_east_m)
+    top = max(0, math.ceil(row - reach_rows))
+    left = max(0, math.ceil(col - reach_cols))
+    near = terrain.part(
+        slice(top, math.floor(row + reach_rows) + 1), slice(left, math.floor(col + reach_cols) + 1)
+    )
+    if np.isnan(near).all():
+        return None
+    at_row, at_col = np.unravel_index(np.nanargmax(near), near.shape)
+    east, north = terrain.to_map(top + at_row, left + at_col)
+    return float(east), float(north), float(near[at_row, at_col])
 
 
 def summit_heights_m(

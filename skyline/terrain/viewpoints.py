@@ -23,6 +23,7 @@ from skyline.arrays import (
 from skyline.errors import InputError, OffMapError, printable, swapped_in_words
 from skyline.geodesy.bounds import are_degrees
 from skyline.geodesy.earth import GROUND_M
+from skyline.geodesy.map_frame import in_rectangle
 from skyline.skylines import HEADINGS
 from skyline.tables import Table, read_table
 from skyline.terrain.heightfield import HeightField
@@ -286,10 +287,7 @@ def _onto_border(
 
 def is_on_map(field: HeightField, easting_m: ArrayLike, northing_m: ArrayLike) -> BoolArray:
     """Return a mask of the positions that lie on a map."""
-    west, south, east, north = field.bounds_m
-    easting = np.asarray(easting_m)
-    northing = np.asarray(northing_m)
-    return (west <= easting) & (easting <= east) & (south <= northing) & (northing <= north)
+    return in_rectangle(field.bounds_m, easting_m, northing_m)
 
 
 def broadcast(**values: ArrayLike) -> list[Float64Array]:

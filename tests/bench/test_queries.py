@@ -48,7 +48,7 @@ def test_an_exact_query_levelled_is_the_oracles_skyline(terrain):
         eye = at_elevation(terrain, truth.easting_m, truth.northing_m, truth.eye_elevation_m)
         views = oracle.skyline(terrain, eye, width=4096)
         seen = views.grid_azimuth_deg().ravel(), views.elevation_deg().ravel()
-        expected = np.interp(np.degrees(azimuth) + truth.heading_deg, *seen, period=360.0)
+        expected = np.interp(np.degrees(azimuth) + truth.grid_heading_deg, *seen, period=360.0)
         error = np.abs(np.degrees(np.arctan(y)) - expected)
         # Corners between two columns and the sides of cliffs are where widths differ.
         assert np.median(error) < 1e-4

@@ -6,7 +6,7 @@ import pytest
 from commands import assert_refused, headings
 
 from skyline_bench.options import table_text
-from skyline_bench.search.commands import SEARCHES
+from skyline_bench.search.commands import COMPARISONS
 
 
 @pytest.fixture
@@ -72,9 +72,9 @@ def test_all_photographs_at_known_places_are_oriented(measured, dem, photo, tmp_
     assert [row["n"] for row in rows if row["measured"] == "photos"] == [3]
 
 
-@pytest.mark.parametrize("name", SEARCHES)
+@pytest.mark.parametrize("name", COMPARISONS)
 def test_the_columns_of_a_search_have_the_queries_their_number_and_the_area(name):
-    columns = {one.partition("=")[0] for one in SEARCHES[name].columns.split()}
+    columns = {one.partition("=")[0] for one in COMPARISONS[name].columns.split()}
     assert {"queries", "n", "km2"} <= columns
 
 

@@ -236,7 +236,7 @@ def test_kinds_of_one_place_share_their_photos():
     )
     assert [len(some) for some in (alone, together, mixed)] == [6, 2, 2]
     assert len({photo.truth.easting_m for photo in together[0]}) == 1
-    assert len({photo.truth.heading_deg for photo in together[0]}) == 3
+    assert len({photo.truth.grid_heading_deg for photo in together[0]}) == 3
     assert [photo.truth for photo in mixed[0][:2]] == [one[0].truth for one in alone[:2]]
     assert mixed[0][2].truth == together[1][2].truth
     with pytest.raises(InputError, match="give --strange"):

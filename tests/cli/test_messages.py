@@ -233,7 +233,7 @@ MISTAKES = [
     ),
     (
         "label {photo} --dem {dem} --peaks {peaks} -o {tmp}/n.json --pose {pose} --at {at}",
-        "leave --at, --elevation, --heading and --fov-deg out",
+        "leave --at, --elevation, --heading, --fov-deg and their errors out",
     ),
     (
         "label {photo} --pose {pose} --dem {dem} --peaks {peaks} -o {tmp}/n.gif",

@@ -64,7 +64,7 @@ def test_queries_are_found_where_they_were_taken(store, terrain, queries):
         assert 0.0 < best.confidence < 1.0
         if off < 10.0:
             assert np.linalg.eigvalsh(best.covariance_m2).min() > 0.0
-            assert abs(in_turn(best.grid_heading_deg - query.truth.heading_deg)) < 1.0
+            assert abs(in_turn(best.grid_heading_deg - query.truth.grid_heading_deg)) < 1.0
 
 
 def test_too_little_skyline_is_refused(store, terrain, queries):
@@ -86,7 +86,7 @@ def test_nothing_fits_a_skyline_of_almost_no_width(store, terrain, queries):
 
 
 def test_a_direction_in_which_nothing_was_seen_has_no_place(store, terrain, queries):
-    away_deg = (queries[0].truth.heading_deg + 180.0) % 360.0
+    away_deg = (queries[0].truth.grid_heading_deg + 180.0) % 360.0
     away = Narrowing(heading_deg=(away_deg, 1e-6))
     with Matcher(store, terrain) as matcher:
         result = matcher.match(queries[0].skyline, narrowing=away)
@@ -189,7 +189,7 @@ def test_photos_of_one_place_have_one_answer_and_a_stranger_is_named(
     assert "does not fit where the others" in other.refusal
     assert "degrees of skyline are visible" in nothing.refusal
     for mine, query in ((one, first), (another, second)):
-        assert abs(in_turn(mine.answer.grid_heading_deg - query.truth.heading_deg)) < 1.0
+        assert abs(in_turn(mine.answer.grid_heading_deg - query.truth.grid_heading_deg)) < 1.0
     for name in ("lon", "lat", "radius_m", "confidence", "eye_elevation_m"):
         assert getattr(one.answer, name) == pytest.approx(getattr(another.answer, name))
 

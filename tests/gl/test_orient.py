@@ -34,7 +34,7 @@ def off_deg(found, truth):
     """Return the errors of heading, pitch, roll and field of view."""
     pose = found.pose
     names = ("pitch_deg", "roll_deg", "fov_deg")
-    heading_deg = float(in_turn(pose.grid_heading_deg - truth.heading_deg))
+    heading_deg = float(in_turn(pose.grid_heading_deg - truth.grid_heading_deg))
     return np.array([heading_deg, *(getattr(pose, one) - getattr(truth, one) for one in names)])
 
 

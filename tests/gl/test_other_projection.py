@@ -46,7 +46,7 @@ def test_a_fisheye_that_is_said_to_be_one_is_oriented(terrain, mapping):
     told = replace(photo.skyline, fov_deg=100.0, projection=Projection.FISHEYE)
     found = orient(told, terrain, **beside(terrain, photo.truth))
     assert found.refusal is None
-    assert found.pose.grid_heading_deg == pytest.approx(photo.truth.heading_deg, abs=0.5)
+    assert found.pose.grid_heading_deg == pytest.approx(photo.truth.grid_heading_deg, abs=0.5)
     assert found.pose.fov_deg == pytest.approx(100.0, abs=3.0)
 
 

@@ -197,6 +197,7 @@ def test_points_of_qgis_count_from_the_corner_and_may_be_disabled(read, pixel):
 mapX,mapY,{pixel}X,{pixel}Y,enable,dX,dY,residual
 500000,5094000,10.5,-20.5,1,0,0,0
 500000,5094000,11,-21,0,0,0,0
+500000,5094000,12,-22,0.0,0,0,0
 """
     found = read("p.points", text)
     assert len(found) == 1
@@ -221,6 +222,7 @@ def test_points_are_read_as_they_are_written(tmp_path, suffix):
         ("p.csv", "column_px,row_px,lon,lat,colour\n1,2,9,46,red\n"),
         ("p.csv", "column_px,row_px,lon,lat\n1,2,9,146\n"),
         ("p.points", "mapX,mapY,sourceX,sourceY,enable\n500000,5094000,1,-2,1\n"),
+        ("p.points", "mapX,mapY,sourceX,sourceY,enable\n9,46,1,-2,FALSE\n"),
         ("p.points", "#CRS: nowhere\nmapX,mapY,sourceX,sourceY,enable\n9,46,1,-2,1\n"),
         ("p.txt", "column_px,row_px,lon,lat\n1,2,9,46\n"),
     ],

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from pyproj import Geod
 
 from skyline.geodesy.bounds import box_around, check_bounds, contains_box, width_deg
-from skyline.geodesy.map_frame import TRUE_DEG, Frame
+from skyline.geodesy.cell_grid import CellGrid
+from skyline.geodesy.map_frame import TRUE_DEG, Frame, in_rectangle
 
 WGS84 = Geod(ellps="WGS84")
 
@@ -113,3 +114,14 @@ def test_a_box_around_two_crosses_the_antimeridian_where_they_do():
 )
 def test_a_box_contains_one_that_reaches_out_on_no_side(inner, is_in):
     assert contains_box((179.5, 0.0, -179.5, 1.0), inner) == is_in
+
+
+def test_rows_of_cells_go_south_from_the_north_western_corner():
+    grid = CellGrid(west_m=100.0, north_m=50.0, cell_m=10.0, rows=2, cols=3)
+    assert grid.eastings_m().tolist() == [105.0, 115.0, 125.0]
+    assert grid.northings_m().tolist() == [45.0, 35.0]
+
+
+def test_a_rectangle_holds_its_sides():
+    inside = in_rectangle((0.0, 0.0, 10.0, 5.0), [0.0, 10.0, 10.1, np.nan], [5.0, 0.0, 0.0, 1.0])
+    assert inside.tolist() == [True, True, False, False]

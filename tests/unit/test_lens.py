@@ -44,6 +44,9 @@ def test_a_panorama_of_a_phone_is_as_wide_as_its_height_says():
     assert "panorama" in found.reason
     assert swept_lens_of(tags, (30_000, 2500)).fov_deg == 360.0
     assert swept_lens_of({Base.CustomRendered: 6}, (8000, 2500)).fov_deg is None
+    assert swept_lens_of(tags, (2500, 3300)).fov_deg is not None
+    upwards = swept_lens_of(tags, (2500, 8000))
+    assert (upwards.fov_deg, "up or down" in upwards.reason) == (None, True)
     assert swept_lens_of(tags | {Base.CustomRendered: 0}, (8000, 2500)) is None
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scenes import candidate_at, fractal, write_dem
 
-from skyline import InputError, NotedPose, OffMapError, Projection, Viewer, read_dem
+from skyline import InputError, Narrowing, NotedPose, OffMapError, Projection, Viewer, read_dem
 
 LENS = Projection.PERSPECTIVE
 LEAST = {"lon": 9, "lat": 46, "heading_deg": 1, "fov_deg": 60}
@@ -45,6 +45,14 @@ def test_other_names_beside_those_that_are_read_are_ignored():
     record = LEAST | {"pitch": 4, "pitch_deg": 4, "elevation_m": 2400, "eye_height_m": 2, "f": 1}
     noted = NotedPose.from_dict(record, LENS)
     assert (noted.pitch_deg, noted.eye_height_m, noted.eye_elevation_m) == (4.0, 2.0, None)
+
+
+def test_a_heading_beyond_a_turn_is_refused():
+    """A spreadsheet made 123.456 so."""
+    with pytest.raises(InputError, match="heading_deg is 123456; expected -360 to 360"):
+        NotedPose.from_dict(LEAST | {"heading_deg": 123456}, LENS)
+    with pytest.raises(InputError, match="and a heading from -360 to 360"):
+        Narrowing(heading_deg=(123456.0, 10.0))
 
 
 def test_a_record_of_another_projection_is_refused():

@@ -8,10 +8,10 @@ import rasterio
 from scenes import candidate_at, field_from, field_of, fractal
 
 from skyline.errors import InputError
+from skyline.geodesy.cell_grid import CellGrid
 from skyline.geodesy.earth import Curvature
 from skyline.photo.skyline import PhotoSkyline
 from skyline.report.ortho import (
-    CellGrid,
     grid_of,
     lay,
     mosaic,
@@ -58,10 +58,14 @@ def laid():
     return grid, lay(view, picture_of(view), grid)
 
 
+def middles_m(grid):
+    """Return eastings and northings (rows, cols, 2) of a grid's cells."""
+    return np.stack(np.meshgrid(grid.eastings_m(), grid.northings_m()), axis=-1)
+
+
 def test_cells_show_their_own_place_within_half_a_cell(laid):
     grid, found = laid
-    east_m, north_m = grid.middles_m()
-    off = np.abs(found.values - np.stack([east_m, north_m], axis=-1)).max(axis=-1)[found.is_seen]
+    off = np.abs(found.values - middles_m(grid)).max(axis=-1)[found.is_seen]
     assert found.is_seen.sum() > 5000
     assert np.mean(off <= 0.5 * grid.cell_m) >= 0.95
 
@@ -77,8 +81,7 @@ def test_cells_show_their_own_place_on_smooth_and_on_rough_ground(terrain, place
     grid = grid_of([view], cell_m)
     found = lay(view, picture_of(view), grid)
     assert found.is_seen.sum() > 2000
-    middles_m = np.stack(grid.middles_m(), axis=-1)
-    off_m = np.abs(found.values - middles_m).max(axis=-1)[found.is_seen]
+    off_m = np.abs(found.values - middles_m(grid)).max(axis=-1)[found.is_seen]
     assert np.mean(off_m <= 0.5 * cell_m) >= 0.95
 
 
@@ -89,8 +92,7 @@ def test_cells_beside_hidden_ground_are_left_out():
     view = Viewer(wall, curvature=Curvature(enabled=False)).ground_view(pose, PHOTO)
     grid = CellGrid(-2.0, 700.0, 4.0, 250, 2)
     found = lay(view, np.ones((HEIGHT_PX, WIDTH_PX, 1), dtype=np.uint8), grid)
-    _, north_m = grid.middles_m()
-    shown_m = north_m[found.is_seen]
+    shown_m = middles_m(grid)[found.is_seen, 1]
     behind_m = shown_m[shown_m > 0.0].min()
     # A pixel is 11 m long there: two, less the half pixel by which ground must be hidden.
     assert behind_m == pytest.approx(450.0 + 1.5 * 11.0, abs=4.0)
@@ -98,7 +100,7 @@ def test_cells_beside_hidden_ground_are_left_out():
 
 def test_cells_that_are_hidden_or_outside_the_photo_are_empty(laid):
     grid, found = laid
-    east_m, north_m = grid.middles_m()
+    east_m, north_m = np.moveaxis(middles_m(grid), -1, 0)
     assert not found.is_seen[north_m < -900.0].any()
     shown = found.is_seen[(np.abs(east_m) < 100.0) & (north_m > -600.0) & (north_m < 500.0)]
     # Some of the ground behind the hills is hidden.

@@ -20,6 +20,7 @@ from skyline.match.prior import Narrowing
 from skyline.photo.extract import extract_skyline
 from skyline.photo.image import SizeLimits, opened_image, photos_in, shrink_if_large
 from skyline.photo.overlay import write_overlay
+from skyline.photo.photo import read_photo
 from skyline.photo.read import named_skyline, read_skyline
 from skyline.photo.skyline import PhotoSkyline
 from skyline.photo.trace import write_trace
@@ -141,6 +142,16 @@ class TestFiles:
         Image.new("1", (20_000, 10_000)).save(tmp_path / "huge.png")
         said = r"huge\.png.* megapixels; expected at most 100"
         assert_says(said, lambda: read_skyline(tmp_path / "huge.png"))
+
+    def test_of_several_pages(self, tmp_path):
+        """As a scanner writes an album; smaller copies are no pages of their own."""
+        pages = [Image.fromarray(np.full((60, 90), value, np.uint8)) for value in (90, 120)]
+        path = tmp_path / "album.tif"
+        pages[0].save(path, save_all=True, append_images=pages[1:])
+        said = r"album\.tif has 2 pages or layers; expected one photo: flatten it"
+        assert_says(said, lambda: read_photo(path))
+        pages[0].save(path, save_all=True, append_images=[pages[1].resize((45, 30))])
+        assert read_photo(path).rgb[0, 0].tolist() == [90, 90, 90]
 
     def test_that_are_open_and_cut_short(self):
         whole = io.BytesIO()
@@ -276,8 +287,9 @@ class TestPoses:
             (LEAST | {"pitch_deg": 91}, "pitch_deg is 91; expected -90 to 90"),
             (LEAST | {"roll_deg": -181}, "roll_deg is -181; expected -180 to 180"),
             (LEAST | {"eye_height_m": 2, "eye_elevation_m": 9}, "both eye_elevation_m and eye_he"),
-            (LEAST | {"pitch": 4}, "has pitch, which is not read; name it pitch_deg"),
-            (LEAST | {"elevation_m": 2400}, "elevation_m, which is not read; name it eye_elevat"),
+            (LEAST | {"pitch": 4}, "has pitch, which is not read; give it as pitch_deg"),
+            (LEAST | {"elevation_m": 24}, "elevation_m, which is not read; give it as eye_elevati"),
+            (LEAST | {"altitude_ft": 7874}, "has altitude_ft, which is not read; give it as eye_e"),
         ],
     )
     def test_that_are_none(self, record, said):

@@ -13,6 +13,7 @@ from place_scenes import AZIMUTH_DEG, curve, places_of, rays
 from scenes import FRAME, candidate_at
 
 from skyline import Frame, InputError, Narrowing
+from skyline.geodesy.cell_grid import CellGrid
 from skyline.match.posterior import SHARES, SPREAD, AlikePlaces, Findings, Posterior, posterior_of
 from skyline.match.prior import NOTHING_KNOWN, PlacePrior, Prior
 from skyline.match.retrieval import Retriever
@@ -128,7 +129,8 @@ def test_greater_shares_have_greater_regions():
 def test_outlines_turn_left_and_holes_turn_right():
     row, col = np.mgrid[0:41, 0:41]
     ring = np.exp(-0.1 * (np.hypot(row - 20, col - 20) - 12.0) ** 2)
-    posterior = Posterior((ring / ring.sum()).astype(np.float32), 5e5, 5e6, 10.0, FRAME)
+    grid = CellGrid(west_m=5e5, north_m=5e6, cell_m=10.0, rows=41, cols=41)
+    posterior = Posterior((ring / ring.sum()).astype(np.float32), grid, FRAME)
     ((outline, hole),) = posterior.region(0.8)
     assert area_m2(outline) > -area_m2(hole) > 0.0
 
@@ -136,7 +138,8 @@ def test_outlines_turn_left_and_holes_turn_right():
 def test_a_single_cell_has_an_outline():
     cells = np.full((9, 9), 1e-3, dtype=np.float32)
     cells[4, 4] = 1.0 - 80e-3
-    ((outline,),) = Posterior(cells, 0.0, 900.0, 100.0, FRAME).region(0.5)
+    grid = CellGrid(west_m=0.0, north_m=900.0, cell_m=100.0, rows=9, cols=9)
+    ((outline,),) = Posterior(cells, grid, FRAME).region(0.5)
     np.testing.assert_allclose(outline[:-1].mean(axis=0), [450.0, 450.0])
     assert 0.0 < area_m2(outline) < 100.0**2
 
@@ -176,7 +179,7 @@ def test_the_geotiff_lies_on_the_map(tmp_path):
     with rasterio.open(tmp_path / "new" / "map.tif") as raster:
         cells = raster.read(1)
         row, col = np.unravel_index(cells.argmax(), cells.shape)
-        assert raster.xy(row, col) == pytest.approx((1000.0, 900.0), abs=posterior.cell_m)
+        assert raster.xy(row, col) == pytest.approx((1000.0, 900.0), abs=posterior.grid.cell_m)
         assert raster.crs == rasterio.CRS.from_wkt(FRAME.wkt)
     np.testing.assert_array_equal(cells, posterior.probability)
 

@@ -11,8 +11,9 @@ from scenes import FRAME, candidate_at, field_from
 from skyline.errors import InputError, OffMapError
 from skyline.geodesy.earth import Curvature
 from skyline.geodesy.map_frame import Frame
-from skyline.peaks import Peaks, Sighting, read_peaks, visible_peaks
+from skyline.peaks import Peaks, read_peaks
 from skyline.photo.skyline import PhotoSkyline
+from skyline.sightings import Sighting, visible_peaks
 from skyline.terrain.viewpoints import stand_on
 from skyline.view import Viewer
 
@@ -55,6 +56,17 @@ def test_a_peak_is_seen_unless_something_before_it_stands_higher():
     assert names_seen(0.0) == ["west", "east"]
     assert names_seen(level_m - 20.0) == ["west", "east"]
     assert names_seen(level_m + 20.0) == ["west"]
+
+
+def test_a_height_in_feet_is_not_shown_as_metres(caplog):
+    """Both summits are 600 m high, which are 1969 ft."""
+    terrain = two_cones(0.0)
+    eye = stand_on(terrain, easting_m=0.0, northing_m=-900.0, eye_height_m=2.0)
+    peaks = replace(TWO, height_m=np.array([1969.0, 610.0]))
+    labels = [peak.label for peak in visible_peaks(terrain, eye, peaks, FLAT)]
+    assert labels == ["west", "east 610 m"]
+    (record,) = caplog.records
+    assert "1 of 2 peaks have heights that differ by more than 200 m" in record.getMessage()
 
 
 def test_numbers_stay_behind_a_name_from_right_to_left():
@@ -156,7 +168,7 @@ def test_ele_is_read_by_openstreetmap_s_conventions(tmp_path, caplog, ele, heigh
 def test_geojson_in_metres_is_refused_and_in_degrees_of_any_datum_read(tmp_path):
     path = geojson_of(tmp_path / "peaks.geojson", ["1200"])
     read = json.loads(path.read_text())
-    for name in ("urn:ogc:def:crs:OGC:1.3:CRS84", "urn:ogc:def:crs:EPSG::4258", "mine"):
+    for name in ("urn:ogc:def:crs:OGC:1.3:CRS84", "urn:ogc:def:crs:EPSG::4258"):
         path.write_text(json.dumps(read | {"crs": {"type": "name", "properties": {"name": name}}}))
         assert read_peaks(path, FRAME).names == ("A",)
     read["crs"] = {"type": "name", "properties": {"name": "urn:ogc:def:crs:EPSG::2056"}}
@@ -175,6 +187,25 @@ def test_degrees_of_another_datum_are_carried_to_wgs_84(tmp_path):
     peaks = read_peaks(tmp_path / "peaks.geojson", frame)
     east_m, north_m = float(peaks.easting_m[0]), float(peaks.northing_m[0])
     assert (east_m, north_m) == (pytest.approx(-285.0, abs=25.0), pytest.approx(360.0, abs=25.0))
+
+
+@pytest.mark.parametrize(
+    ("lon", "crs", "reason"),
+    [
+        (8.5, {"type": "EPSG", "properties": {"code": 32632}}, "UTM zone 32N"),
+        (8.5, {"type": "name", "properties": {"name": "MyGrid"}}, "MyGrid, which is not known"),
+        (8.5, {"type": "link", "properties": {"href": "a.wkt"}}, "which is not known"),
+        (1_057_535.0, None, "1.05754e.06,46.5; expected longitude and latitude"),
+    ],
+    ids=["code", "unknown", "link", "metres"],
+)
+def test_geojson_whose_places_may_not_be_degrees_of_wgs_84_is_refused(tmp_path, lon, crs, reason):
+    path = tmp_path / "peaks.geojson"
+    point = {"type": "Point", "coordinates": [lon, 46.5]}
+    feature = {"type": "Feature", "properties": {"name": "A"}, "geometry": point}
+    path.write_text(json.dumps({"type": "FeatureCollection", "features": [feature], "crs": crs}))
+    with pytest.raises(InputError, match=reason):
+        read_peaks(path, FRAME)
 
 
 @pytest.mark.parametrize("ele", ["14,505 ft", "1200;1210", '12"', "nan", "18941", True])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scenes import field_from
 
-from skyline.alignments import Circle, standpoints
+from skyline.alignments import standpoints
 from skyline.errors import InputError
 from skyline.geodesy.earth import Curvature
 from skyline.sun import Body, Sky, time_of
@@ -56,8 +56,8 @@ def standpoints_at(east_m, north_m, radius_m, body=Body.SUN, day=date(2026, 3, 2
     summit_deg, middle_deg = (
         tuple(map(float, SPIRE.frame.to_lonlat(*at))) for at in ((0.0, 0.0), (east_m, north_m))
     )
-    area = Circle(lon=middle_deg[0], lat=middle_deg[1], radius_m=radius_m)
-    return standpoints(SPIRE, summit_deg, day, body, area, eye_height_m=2.0, curvature=FLAT)
+    within = *middle_deg, radius_m / 1000.0
+    return standpoints(SPIRE, summit_deg, day, body, within, eye_height_m=2.0, curvature=FLAT)
 
 
 @pytest.mark.parametrize("body", Body)
@@ -88,9 +88,8 @@ def test_only_places_in_the_area_are_given():
 
 
 def test_a_summit_off_the_map_is_refused():
-    area = Circle(lon=0.0, lat=0.0, radius_m=100.0)
     with pytest.raises(InputError, match="off the elevation model"):
         standpoints(
-            SPIRE, (50.0, 10.0), date(2026, 3, 20), Body.SUN, area,
+            SPIRE, (50.0, 10.0), date(2026, 3, 20), Body.SUN, (0.0, 0.0, 0.1),
             eye_height_m=2.0, curvature=FLAT,
         )  # fmt: skip

@@ -58,6 +58,32 @@ def test_points_beside_decimal_commas_part_thousands(tmp_path, row, elevation_m)
     assert (row.number("lon"), row.number("elevation")) == (9.85, elevation_m)
 
 
+@pytest.mark.parametrize(
+    ("row", "values"),
+    [
+        ("1.234,5;9,5;1.800", (1234.5, 1800.0)),
+        ("1,234.5;9.5;1,800", (1234.5, 1800.0)),
+        ("123.456;9.5;1.800", (123.456, 1.8)),
+        ("123,456;9,512;1,800", (123.456, 1.8)),
+    ],
+    ids=["german", "english", "points", "commas"],
+)
+def test_a_table_tells_what_its_separators_part(tmp_path, row, values):
+    path = tmp_path / "a.csv"
+    path.write_text(f"row_px;lon;elevation_m\n{row}\n")
+    (row,) = read_table(path, "").rows
+    assert (row.number("row_px"), row.number("elevation_m")) == values
+
+
+@pytest.mark.parametrize("row", ["1.234;9,5;2", "1,234;9.5;2", "1,234;9;2"])
+def test_a_number_that_may_be_thousands_or_decimals_is_refused(tmp_path, row):
+    path = tmp_path / "a.csv"
+    path.write_text(f"row_px;lon;elevation_m\n{row}\n")
+    (row,) = read_table(path, "").rows
+    with pytest.raises(InputError, match=r"which may be 1.234 or 1234; write it without"):
+        row.number("row_px", 0.0, 2000.0)
+
+
 def test_standard_input_is_read_and_its_kind_is_seen(monkeypatch):
     for content, is_csv in ((b"path,id\na.jpg,1\n", True), (b"\xff\xd8\xff\xe0", False)):
         monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(content)))

@@ -1,6 +1,6 @@
 """Values of EXIF and XMP, which are written in several forms."""
 
-from datetime import datetime
+from datetime import UTC, datetime
 
 import pytest
 from PIL import Image
@@ -33,6 +33,15 @@ def test_a_time_is_one_of_the_camera_s_clock():
     assert time_of(taken, Base.DateTimeOriginal) == datetime(2026, 6, 21, 12, 30, 5)
     assert time_of(taken, Base.DateTime) is None
     assert time_of({Base.DateTime: "    :  :     :  :  "}, Base.DateTime) is None
+
+
+def test_a_noted_zone_belongs_to_the_time():
+    """12:30 in central Europe's summer is 10:30 UTC."""
+    tags = {Base.DateTimeOriginal: "2026:06:21 12:30:05", Base.OffsetTimeOriginal: "+02:00\0"}
+    both = Base.DateTimeOriginal, Base.OffsetTimeOriginal
+    assert time_of(tags, *both) == datetime(2026, 6, 21, 10, 30, 5, tzinfo=UTC)
+    blank = tags | {Base.OffsetTimeOriginal: "   :  "}
+    assert time_of(blank, *both) == datetime(2026, 6, 21, 12, 30, 5)
 
 
 def test_a_file_notes_when_its_photo_was_taken(tmp_path):

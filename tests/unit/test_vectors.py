@@ -1,6 +1,7 @@
 """Shapes in files of each kind, against the numbers that are written in them."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -60,10 +61,12 @@ def test_pixels_as_qgis_has_them_count_from_the_corner_upwards(read):
 
 
 def test_an_older_crs_is_carried_to_degrees(read):
-    crs = {"type": "name", "properties": {"name": "urn:ogc:def:crs:EPSG::32632"}}
+    named = {"type": "name", "properties": {"name": "urn:ogc:def:crs:EPSG::32632"}}
     metres = feature("Point", [500_000.0, 5_094_000.0])
-    found = read("a.geojson", collection(metres, crs=crs))
-    np.testing.assert_allclose(found.shapes[0].rings[0], [[9.0, 46.0]], atol=0.01)
+    coded = {"type": "EPSG", "properties": {"code": 32632}}
+    for crs in (named, coded):
+        found = read("a.geojson", collection(metres, crs=crs))
+        np.testing.assert_allclose(found.shapes[0].rings[0], [[9.0, 46.0]], atol=0.01)
 
 
 def test_annotations_of_labelme(read):
@@ -123,7 +126,8 @@ def test_an_svg_s_own_corner_and_what_it_does_not_draw_are_left_out(read):
     found = read(
         "a.svg",
         """<svg viewBox="100 50 640 480"><defs><clipPath><rect width="9" height="9"/></clipPath>
-        </defs><polygon points="110,70 130,70 130,90 110,90"/></svg>""",
+        </defs><g style="opacity:1; display: none"><rect width="9" height="9"/></g>
+        <polygon points="110,70 130,70 130,90 110,90"/></svg>""",
     )
     (only,) = found.shapes
     np.testing.assert_array_equal(only.rings[0], PIXELS)
@@ -158,6 +162,8 @@ def test_waypoints_and_segments_of_gpx(read):
         ("a.json", {"shapes": [{"points": SQUARE, "shape_type": "mask"}]}),
         ("a.svg", "<svg><path d='M0 0C1 1 2 2 3 3'/></svg>"),
         ("a.svg", "<svg><g transform='scale(2)'><rect width='3' height='3'/></g></svg>"),
+        ("a.svg", "<svg><g style='transform:scale(2)'><rect width='3' height='3'/></g></svg>"),
+        ("a.svg", "<svg><style>rect {scale: 2}</style><rect width='3' height='3'/></svg>"),
         ("a.svg", "<svg><svg x='5'><rect width='3' height='3'/></svg></svg>"),
         ("a.svg", "<svg><use x='5' href='#a'/><rect id='a' width='3' height='3'/></svg>"),
         ("a.svg", "<svg><rect x='10%' width='3' height='3'/></svg>"),
@@ -170,6 +176,35 @@ def test_waypoints_and_segments_of_gpx(read):
 def test_files_that_hold_no_shapes_are_refused(read, name, content):
     with pytest.raises(InputError):
         read(name, content)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        {"shapes": [{"points": SQUARE}], "imagePath": "..\\b\\a.jpg"},
+        collection(photo={"name": "a.jpg", "width_px": 640, "height_px": 480}),
+    ],
+    ids=["labelme", "geojson"],
+)
+def test_vectors_of_another_photo_are_refused(read, tmp_path, content):
+    if "features" in content:
+        content["features"] = [feature("Point", [1.0, 2.0])]
+    found = read("a.json", content)
+    found.check_photo(tmp_path / "a.jpg", 640, 480)
+    with pytest.raises(InputError, match=r"is drawn in .*a.jpg, not in other.jpg; give the photo"):
+        found.check_photo(Path("other.jpg"), 640, 480)
+
+
+def test_annotations_of_coco_are_of_no_photo_of_another_name(read):
+    images = [{"id": 7, "file_name": "b.jpg"}]
+    with pytest.raises(InputError, match=r"has 0 images of the name a.jpg"):
+        read("a.json", {"annotations": [{"image_id": 7, "bbox": [1, 2, 3, 4]}], "images": images})
+
+
+def test_shares_of_width_and_height_are_no_pixels(read):
+    found = read("a.json", {"shapes": [{"points": [[0.1, 0.2], [0.9, 0.2], [0.5, 0.8]]}]})
+    with pytest.raises(InputError, match=r"has coordinates from 0 to 1 only; expected columns"):
+        found.check_photo(Path("a.jpg"), 640, 480)
 
 
 @pytest.mark.parametrize("name", ["none.gpx", "none.json"])

@@ -1,5 +1,6 @@
 """Posteriors of the photos of one walk."""
 
+from dataclasses import replace
 from datetime import UTC, datetime
 
 import numpy as np
@@ -7,21 +8,22 @@ import pytest
 from scenes import FRAME
 
 from skyline import InputError
+from skyline.geodesy.cell_grid import CellGrid
 from skyline.match.posterior import Posterior
 from skyline.match.walk import check_times, joined
 
-CELL_M = 10.0
+GRID = CellGrid(west_m=0.0, north_m=1000.0, cell_m=10.0, rows=100, cols=100)
 
 
 def posterior(cells):
     """Return a posterior with a share of the probability in some cells, and none elsewhere."""
-    probability = np.zeros((100, 100), dtype=np.float32)
+    probability = np.zeros(GRID.shape, dtype=np.float32)
     for cell, share in cells.items():
         probability[cell] = share
-    return Posterior(probability, 0.0, 1000.0, CELL_M, FRAME)
+    return Posterior(probability, GRID, FRAME)
 
 
-EVEN = Posterior(np.full((100, 100), 1e-4, dtype=np.float32), 0.0, 1000.0, CELL_M, FRAME)
+EVEN = Posterior(np.full(GRID.shape, 1e-4, dtype=np.float32), GRID, FRAME)
 
 
 def test_a_photo_that_tells_nothing_lies_in_the_disc_that_can_be_walked():
@@ -52,8 +54,9 @@ def test_a_photo_is_told_by_those_before_and_those_after_it():
 
 def test_posteriors_of_a_walk_are_those_of_all_its_places():
     rng = np.random.default_rng(4)
+    grid = replace(GRID, rows=6, cols=6)
     alone = [
-        Posterior(cells / cells.sum(), 0.0, 60.0, CELL_M, FRAME)
+        Posterior(cells / cells.sum(), grid, FRAME)
         for cells in rng.random((3, 6, 6), dtype=np.float32)
     ]
     found = joined(alone, [20.0, 25.0])
@@ -74,7 +77,7 @@ def test_posteriors_of_a_walk_are_those_of_all_its_places():
 def test_a_wide_disc_is_spread_on_a_coarser_grid():
     corner = posterior({(0, 0): 1.0})
     _, spread = joined([corner, EVEN], [960.0])
-    row, col = np.mgrid[:100, :100] * CELL_M
+    row, col = np.mgrid[:100, :100] * GRID.cell_m
     away_m = np.hypot(row, col)
     np.testing.assert_allclose(
         spread.probability[away_m < 900.0], 4 * 100 / (np.pi * 960.0**2), rtol=0.06

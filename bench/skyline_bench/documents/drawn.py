@@ -14,7 +14,7 @@ from skyline.files import write_whole
 from skyline_bench.measuring import Row
 from skyline_bench.options import table_text
 from skyline_bench.records import read_record
-from skyline_bench.search.commands import AGAINST_EQUAL, SEARCHES
+from skyline_bench.search.commands import AGAINST_EQUAL, COMPARISONS
 from skyline_bench.search.trials import ALL, by_planner
 
 PAGE = "figures.md"
@@ -82,11 +82,11 @@ def _about(record: Mapping[str, Any]) -> Iterator[str]:
 
 def _tables(record: Mapping[str, Any]) -> Iterator[str]:
     """Yield the tables of a record as its command prints them."""
-    search = SEARCHES.get(record["bench"])
-    if search is None:
+    comparison = COMPARISONS.get(record["bench"])
+    if comparison is None:
         yield table_text(record["rows"])
         return
-    yield table_text(search.shown(record["rows"]), search.columns)
+    yield table_text(comparison.shown(record["rows"]), comparison.columns)
     if compared := record.get("summary", {}).get("against_equal"):
         yield table_text(compared, AGAINST_EQUAL)
 

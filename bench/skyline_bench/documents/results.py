@@ -79,10 +79,10 @@ def percent(share: float | None) -> str:
     return f"{whole} %"
 
 
-def with_interval(row: Row, key: str = "within_200m") -> str:
-    """Return a share in percent, with its interval."""
-    low, high = (100.0 * row[f"{key}_{end}"] for end in ("low", "high"))
-    return f"{percent(row[key])} ({low:.0f} to {high:.0f})"
+def with_interval(row: Row) -> str:
+    """Return the share within 200 m in percent, with its interval."""
+    low, high = (100.0 * row[f"within_200m_{end}"] for end in ("low", "high"))
+    return f"{percent(row['within_200m'])} ({low:.0f} to {high:.0f})"
 
 
 def count(number: float) -> str:

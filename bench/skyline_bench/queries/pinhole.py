@@ -25,7 +25,7 @@ _MIN_FORWARD = 0.05
 class Camera:
     """A camera with square pixels; angles as in `skyline.camera`."""
 
-    heading_deg: float  # Grid azimuth of the optical axis
+    grid_heading_deg: float  # Azimuth of the optical axis from grid north
     pitch_deg: float = 0.0  # Optical axis above the horizon; how far a cylinder's rows are raised
     roll_deg: float = 0.0  # Camera turned clockwise as seen from behind it
     fov_deg: float = 60.0  # Horizontal field of view
@@ -72,7 +72,7 @@ class Camera:
         rows = np.arange(self.height_px)
         u = ((columns - (self.width_px - 1) / 2.0) / self.focal_px)[np.newaxis, :]
         v = (((self.height_px - 1) / 2.0 - rows) / self.focal_px)[:, np.newaxis]
-        roll, pitch, heading = np.radians([self.roll_deg, self.pitch_deg, self.heading_deg])
+        roll, pitch, heading = np.radians([self.roll_deg, self.pitch_deg, self.grid_heading_deg])
         right = u * np.cos(roll) + v * np.sin(roll)
         above = v * np.cos(roll) - u * np.sin(roll)
         forward = np.cos(pitch) - above * np.sin(pitch)
@@ -93,7 +93,7 @@ class Camera:
         curve's samples: it may lie outside the image, and is NaN where nothing is known. And the
         curve's sample (W,) just left of that point, -1 where the row is NaN.
         """
-        turned = np.mod(azimuth_deg - self.heading_deg + 180.0, 360.0) - 180.0
+        turned = np.mod(azimuth_deg - self.grid_heading_deg + 180.0, 360.0) - 180.0
         first = int(np.argmin(turned))
         rolled = np.radians(np.roll(turned, -first)), np.roll(elevation_tan, -first)
         row_px, segment = _topmost(*self.project(*rolled), self.width_px)

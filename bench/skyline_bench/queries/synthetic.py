@@ -110,7 +110,7 @@ class Truth:
     easting_m: float
     northing_m: float
     eye_elevation_m: float
-    heading_deg: float  # Grid azimuth of the optical axis, in [0, 360)
+    grid_heading_deg: float  # In [0, 360)
     pitch_deg: float
     roll_deg: float
     fov_deg: float  # Of the pin-hole camera, before the distortion
@@ -124,7 +124,7 @@ class Truth:
 
     def camera(self, width_px: int = 960, height_px: int = 640) -> Camera:
         """Return the camera as it was held, for a photo's size."""
-        held = self.heading_deg, self.pitch_deg, self.roll_deg, self.fov_deg
+        held = self.grid_heading_deg, self.pitch_deg, self.roll_deg, self.fov_deg
         return Camera(*held, width_px=width_px, height_px=height_px)
 
 
@@ -209,9 +209,9 @@ def _hold(
     """Draw a place on the surface and a camera."""
     generator = np.random.default_rng([*entropy, _POSE])
     west, south, east, north = bounds_m
-    heading_deg = generator.uniform(0.0, 360.0)
+    grid_heading_deg = generator.uniform(0.0, 360.0)
     if config.is_aligned:
-        heading_deg = 90.0 * (heading_deg // 90.0)
+        grid_heading_deg = 90.0 * (grid_heading_deg // 90.0)
     most_deg = config.max_tilt_deg
     pitch_deg, roll_deg = (
         generator.uniform(-most_deg, most_deg, 2)
@@ -219,7 +219,7 @@ def _hold(
         else np.clip(generator.normal(0.0, config.tilt_sd_deg), -most_deg, most_deg)
     )
     camera = Camera(
-        heading_deg=heading_deg,
+        grid_heading_deg=grid_heading_deg,
         pitch_deg=float(pitch_deg),
         roll_deg=float(roll_deg),
         fov_deg=generator.uniform(*config.fov_deg),
@@ -250,7 +250,7 @@ def _photographed(
     )
     eye = (horizons.easting_m, horizons.northing_m, horizons.eye_elevation_m)
     easting_m, northing_m, eye_m = (float(part[index]) for part in eye)
-    held = camera.heading_deg, camera.pitch_deg, camera.roll_deg, camera.fov_deg
+    held = camera.grid_heading_deg, camera.pitch_deg, camera.roll_deg, camera.fov_deg
     distortion = config.distortion_sd * lens.standard_normal()
     truth = Truth(easting_m, northing_m, eye_m, *held, distortion)
     azimuth_deg = np.degrees(bin_azimuths_rad(horizons.elevation_tan.shape[1]))

@@ -1,43 +1,33 @@
-"""The commands of ``search``, and what each compares by default.
+"""The commands that compare stores, matchers and queries, and what each compares by default."""
 
-A command compares stores, matchers and queries.
-"""
-
-import math
-from collections.abc import Callable, Container, Mapping, Sequence
-from dataclasses import dataclass, replace
-from itertools import product
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from textwrap import fill
 from typing import Annotated
 
-import numpy as np
 from typer import Option
 
-from skyline import Narrowing
 from skyline.cli.options import parse_bounds
 from skyline.cli.terminal import Terminal
 from skyline.errors import InputError, entry_named
 from skyline.geodesy.bounds import Bounds
-from skyline.geodesy.map_frame import Rectangle
 from skyline.match.matcher import FULL
 from skyline.paper.plan import PlanConfig
 from skyline.paper.planners import PLANNERS
 from skyline.plugins import names_of
-from skyline.progress import Progress
 from skyline.store.layout import PLACES, RENDERINGS
-from skyline.survey.plans import map_bounds
 from skyline.terrain.dem import read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.provenance import DemOptions
 from skyline_bench import options
-from skyline_bench.measuring import Row, square_km
+from skyline_bench.measuring import Row
 from skyline_bench.options import Floats, Names
 from skyline_bench.queries import kinds
-from skyline_bench.queries.synthetic import Truth
 from skyline_bench.records import write_record
 from skyline_bench.search import trials
-from skyline_bench.search.stores import UNIFORM, BuiltStore, StoreSpec, equal_grid, middle_deg
+from skyline_bench.search.comparison import Comparison
+from skyline_bench.search.stores import UNIFORM, BuiltStore, StoreSpec, middle_deg
 
 _GRIDS_M = (1024.0, 512.0, 256.0, 128.0)
 _THRESHOLDS_PX = (12.0, 6.0, 3.0)
@@ -50,182 +40,6 @@ AGAINST_EQUAL = """store uniform matcher queries km2 n gain_points half_points=9
     error_ratio"""
 _HELP_COLUMNS = 78
 """Help keeps the lines of later paragraphs, and terminals have 80 columns."""
-
-
-@dataclass(frozen=True, slots=True)
-class Search:
-    """A comparison of matchers and stores by the same queries.
-
-    Every matcher searches every store that it can read.
-    """
-
-    about: str  # The help text
-    takes: str  # How long the whole comparison takes on 2 cores without a GPU
-    columns: str  # Printed; rows of groups are printed where "group" is among them
-    stores: tuple[StoreSpec, ...] = (StoreSpec(),)
-    matchers: tuple[str, ...] = (FULL,)  # Names in `skyline_bench.search.trials.MATCHERS`
-    kinds: tuple[str, ...] = ("plain",)  # Names in `skyline_bench.queries.kinds.KINDS`
-    queries: int = 100  # Number of queries of each kind
-    areas_km2: tuple[float, ...] = ()  # Squares that are searched, beside the whole area
-    by_thirds: bool = False  # Whether queries are grouped by thirds of their distances
-    holds_plans_to_grids: bool = False  # Whether each plan is compared with an equally large grid
-    with_posteriors: bool = False  # Whether posteriors are held to the true places
-    in_middle: bool = True  # Whether the area is by default 5 x 10 km in the DEM's middle
-    # West, south, east, north of the area; by default all of the DEM, or what a given store covers.
-    bounds_deg: Bounds | None = None
-    seed: int = 0  # Seed of the queries
-
-    def shown(self, rows: Sequence[Row]) -> list[Row]:
-        """Return the printed rows, with groups only where `columns` name them."""
-        by_group = "group" in self.columns
-        return [row for row in rows if by_group or row["group"] == trials.ALL]
-
-    def area_deg(self) -> Bounds | None:
-        """Return the bounds of the area; None for all of the DEM."""
-        given = (BuiltStore.read(spec, spec.path) for spec in self.stores if spec.path)
-        return self.bounds_deg or next((one.bounds_deg for one in given), None)
-
-    def check(self, terrain: HeightField) -> None:
-        """Raise `InputError` unless all stores, matchers, kinds and areas take part.
-
-        Every store must exist or be buildable, and have a matcher that searches it. Every matcher
-        must have a store, and each area must be a part of the whole.
-        """
-        for name in self.kinds:
-            entry_named("kind of queries", name, kinds.KINDS)
-        if len({spec.name for spec in self.stores}) < len(self.stores):
-            raise InputError("two stores have one name; rename the file of one")
-        searched = {name: trials.searched_by(name) for name in self.matchers}
-        for spec in self.stores:
-            spec.check(terrain, self.bounds_deg)
-            if spec.held not in searched.values():
-                raise InputError(
-                    f"{spec.path or spec.name} holds {spec.held}, which none of "
-                    f"{', '.join(searched)} searches; name another matcher"
-                )
-        held = {spec.held for spec in self.stores}
-        for name, holds in searched.items():
-            if holds not in held:
-                raise InputError(
-                    f"matcher {name} searches {holds}, and no store holds them; name another "
-                    "matcher, or a store for this one"
-                )
-        if self.areas_km2:
-            self._check_areas(terrain, held)
-
-    def _check_areas(self, terrain: HeightField, held: Container[str]) -> None:
-        """Check that a store can be searched in part.
-
-        Raises `InputError` unless it can, for all kinds of queries.
-        """
-        if PLACES not in held:
-            raise InputError("--area needs a store of places: renderings are searched whole")
-        whole = [kind for kind in self.kinds if kind in kinds.SEARCHED_WHOLE]
-        if whole:
-            raise InputError(
-                f"--area is of queries of one photo each; {', '.join(whole)} are searched whole"
-            )
-        whole_km2 = self.whole_km2(terrain)
-        largest_km2 = max(self.areas_km2)
-        if largest_km2 >= whole_km2:
-            raise InputError(
-                f"--area {largest_km2:g} is not less than the {whole_km2:.3g} km2 searched in all; "
-                "give a smaller one, or larger --bounds"
-            )
-
-    def _built(self, terrain: HeightField, folder: Path, progress: Progress) -> list[BuiltStore]:
-        """Return the stores, each plan with the grid that it is held to."""
-        bounds_deg = self.area_deg()
-        stores = [spec.build(terrain, folder, bounds_deg, progress) for spec in self.stores]
-        if not self.holds_plans_to_grids:
-            return stores
-        with_grids = list[BuiltStore]()
-        for store in stores:
-            with_grids.append(store)
-            known = (*stores, *with_grids)
-            if store.is_plan and not any(store.is_held_to(one) for one in known):
-                grid = equal_grid(store, terrain, bounds_deg)
-                with_grids.append(grid.build(terrain, folder, bounds_deg, progress))
-        return with_grids
-
-    def whole_km2(self, terrain: HeightField) -> float:
-        """Return the size of the area."""
-        return square_km(map_bounds(terrain, self.area_deg()))
-
-    def measure(
-        self,
-        terrain: HeightField,
-        folder: Path,
-        progress: Progress,
-        strange: HeightField | None = None,
-    ) -> tuple[list[Row], list[BuiltStore]]:
-        """Search every store with every matcher for the same queries.
-
-        A matcher searches the stores that it can read. Returns a row for each store, matcher, kind
-        of queries, area searched and group of queries, and the stores. Stores are kept in
-        ``folder``, and not built again. The best candidate's error of position counts, whether or
-        not it is an answer. A query without any candidate counts as wrong by half of the area's
-        diagonal. Only right candidates have heading errors.
-        """
-        bounds_deg = self.area_deg()
-        stores = self._built(terrain, folder, progress)
-        area_m = map_bounds(terrain, bounds_deg)
-        whole_km2 = self.whole_km2(terrain)
-        miss_m = math.hypot(area_m[2] - area_m[0], area_m[3] - area_m[1]) / 2.0
-        areas = {f"{km2:g} km2": km2 for km2 in sorted(self.areas_km2)}
-        areas[trials.ALL] = whole_km2
-        queries = {
-            kind: kinds.make_kind(kind, terrain, area_m, self.queries, self.seed, strange)
-            for kind in self.kinds
-        }
-        numbers = [(kind, index) for kind, some in queries.items() for index in range(len(some))]
-        rows = list[Row]()
-        for store, matcher in product(stores, self.matchers):
-            if trials.searched_by(matcher) != store.holds:
-                continue
-            # Only the full matcher can narrow its search.
-            searched = areas if store.holds == PLACES else {trials.ALL: whole_km2}
-            keys = [(*number, area) for number in numbers for area in searched]
-            found = dict[tuple[str, int, str], trials.Trial]()
-            with trials.open_matcher(matcher, store.path, terrain) as opened:
-                for kind, index, area in keys:
-                    query = queries[kind][index]
-                    is_strange = kind == kinds.STRANGERS
-                    narrowing = None
-                    if area != trials.ALL and not is_strange:
-                        truth = query[0].truth
-                        narrowing = _square(truth, areas[area], area_m, terrain, self.seed)
-                    trial = trials.tried(
-                        opened,
-                        query,
-                        narrowing,
-                        strange=is_strange,
-                        with_posterior=self.with_posteriors,
-                    )
-                    found[kind, index, area] = trial
-                    progress(len(found), len(keys))
-            for kind, area in product(queries, searched):
-                about = {"matcher": matcher, "queries": kind, "search": area, "km2": areas[area]}
-                away_m = [kinds.distance_m(one) for one in queries[kind]]
-                for group, members in trials.groups(away_m, self.by_thirds).items():
-                    some = [found[kind, index, area] for index in members]
-                    figures = trials.summarize(some, miss_m, self.seed)
-                    rows.append({**about, "group": group, **figures, **store.figures})
-        return rows, stores
-
-
-def _square(
-    truth: Truth, km2: float, area_m: Rectangle, terrain: HeightField, seed: int
-) -> Narrowing:
-    """Return a random square of an area around a query's place."""
-    place = np.array([truth.easting_m, truth.northing_m])
-    entropy = [seed, round(1e6 * km2), *np.abs(place).astype(int).tolist()]
-    low, high = np.array(area_m).reshape(2, 2)
-    side_m = np.minimum(1e3 * math.sqrt(km2), high - low)
-    within = np.maximum(low, place - side_m), np.minimum(high - side_m, place)
-    corner = np.random.default_rng(entropy).uniform(*within)
-    lon, lat = terrain.frame.to_lonlat(*np.stack([corner, corner + side_m], axis=1))
-    return Narrowing(bounds_deg=(float(lon[0]), float(lat[0]), float(lon[1]), float(lat[1])))
 
 
 def _grids(holds: str = PLACES, spacings_m: Sequence[float] = _GRIDS_M) -> list[StoreSpec]:
@@ -263,8 +77,45 @@ def _plans(strategies: Names, thresholds_px: Floats, seed: int = 0) -> list[Stor
     ]
 
 
-SEARCHES: Mapping[str, Search] = {
-    "matching": Search(
+def _named(
+    searched: Collection[str],
+    paths: Sequence[Path],
+    spacings_m: Sequence[float],
+    plans: Sequence[StoreSpec],
+    places: Sequence[int],
+) -> list[StoreSpec]:
+    """Return the stores that options name; grids only of what is searched."""
+    stores = [StoreSpec(path=path) for path in paths]
+    if RENDERINGS in searched:
+        stores += _grids(RENDERINGS, spacings_m)
+    stores += plans
+    if PLACES in searched:
+        stores += _grids(PLACES, spacings_m)
+    return stores + _planned(*places)
+
+
+def _usual_bounds(
+    comparison: Comparison, terrain: HeightField, *, has_store: bool, quick: bool
+) -> Bounds | None:
+    """Return the area that is searched by default; None for all there is."""
+    if has_store:
+        return None
+    if quick:
+        return middle_deg(terrain, (_QUICK_M, _QUICK_M))
+    return middle_deg(terrain) if comparison.in_middle else None
+
+
+def _with_losses(rows: Sequence[Row], built: Sequence[BuiltStore]) -> list[Row]:
+    """Return rows with the losses that plans claim, and those of the queries."""
+    claimed = {one.spec.name: one.claimed_loss() for one in built}
+    return [
+        {"claimed_loss": claimed[row["store"]], "lost": 1 - row["within_1km"], **row}
+        for row in rows
+    ]
+
+
+COMPARISONS: Mapping[str, Comparison] = {
+    "matching": Comparison(
         """Matchers on stores of one area: how often, how near and how fast they find queries.
 
         The paper's matcher and correlation search uniform grids of renderings, ours planned
@@ -277,7 +128,7 @@ SEARCHES: Mapping[str, Search] = {
         kinds.OF_ONE_AREA,
         300,
     ),
-    "uniform-adaptive": Search(
+    "uniform-adaptive": Comparison(
         """Uniform and adaptive stores: renderings, seconds and bytes against accuracy.
 
         The paper's matcher searches uniform grids of renderings and the plans of its planner;
@@ -296,7 +147,7 @@ SEARCHES: Mapping[str, Search] = {
         by_thirds=True,
         holds_plans_to_grids=True,
     ),
-    "placing": Search(
+    "placing": Comparison(
         """Placing: how many queries uniform grids and planned places find.
 
         The claimed loss is the share of the views that the planner expects to be lost over the
@@ -309,7 +160,7 @@ SEARCHES: Mapping[str, Search] = {
         holds_plans_to_grids=True,
         in_middle=False,
     ),
-    "same-place": Search(
+    "same-place": Comparison(
         """Photos of one place: how often one of them finds it, and how often all together.
 
         Three photos are taken at each place. In a second round, a stranger, a photo of another
@@ -321,7 +172,7 @@ SEARCHES: Mapping[str, Search] = {
         queries=30,
         by_thirds=True,
     ),
-    "probability": Search(
+    "probability": Comparison(
         """Posteriors: how often the true place lies in the areas of 50, 80 and 95 %.
 
         The gain is the mean binary logarithm of how much more probable the true cell is than if
@@ -332,7 +183,7 @@ SEARCHES: Mapping[str, Search] = {
         queries=75,
         with_posteriors=True,
     ),
-    "strangers": Search(
+    "strangers": Comparison(
         """Skylines of other terrain (--strange): how many a store answers, and how surely.""",
         "10 minutes",
         "store queries km2 group n answered highest_confidence query_s",
@@ -341,10 +192,10 @@ SEARCHES: Mapping[str, Search] = {
 }
 
 
-def command_of(name: str, search: Search) -> Callable[..., None]:
-    """Return the command of a search.
+def command_of(name: str, comparison: Comparison) -> Callable[..., None]:
+    """Return the command of a comparison.
 
-    All searches have the same options.
+    All comparisons have the same options.
     """
 
     def command(
@@ -394,8 +245,9 @@ def command_of(name: str, search: Search) -> Callable[..., None]:
             ),
         ] = None,
         queries: Annotated[
-            int, Option(min=3 if search.by_thirds else 1, help="Of each kind, or places of photos.")
-        ] = search.queries,
+            int,
+            Option(min=3 if comparison.by_thirds else 1, help="Of each kind, or places of photos."),
+        ] = comparison.queries,
         folder: options.Folder = None,
         record: options.Record = None,
         seed: options.Seed = 0,
@@ -405,31 +257,24 @@ def command_of(name: str, search: Search) -> Callable[..., None]:
         terrain = read_dem(dem, DemOptions(crs=crs))
         for one in matcher or ():
             entry_named("matcher", one, dict.fromkeys(trials.MATCHERS))
-        searched = {trials.searched_by(one) for one in matcher or search.matchers}
-        stores = [StoreSpec(path=path) for path in store or ()]
-        for holds in (RENDERINGS, PLACES):
-            stores += _grids(holds, (spacing or ()) if holds in searched else ())
-            stores += _plans(strategy, threshold_px, seed) if holds == RENDERINGS else ()
-        stores += _planned(*(places or ()))
+        searched = {trials.searched_by(one) for one in matcher or comparison.matchers}
+        plans = _plans(strategy, threshold_px, seed)
+        stores = _named(searched, store or (), spacing or (), plans, places or ())
         if not stores:
-            usual = [one for one in search.stores if one.holds in searched]
+            usual = [one for one in comparison.stores if one.holds in searched]
             stores = _few(usual) if quick else usual
         held = {one.held for one in stores}
-        bounds_deg = None if bounds is None else parse_bounds(bounds)
-        if bounds_deg is None and not store:
-            if quick:
-                bounds_deg = middle_deg(terrain, (_QUICK_M, _QUICK_M))
-            elif search.in_middle:
-                bounds_deg = middle_deg(terrain)
         asked = replace(
-            search,
+            comparison,
             stores=tuple(dict.fromkeys(stores)),
             matchers=tuple(
-                matcher or (one for one in search.matchers if trials.searched_by(one) in held)
+                matcher or (one for one in comparison.matchers if trials.searched_by(one) in held)
             ),
-            kinds=tuple(kind or search.kinds),
+            kinds=tuple(kind or comparison.kinds),
             queries=queries,
-            bounds_deg=bounds_deg,
+            bounds_deg=parse_bounds(bounds)
+            if bounds is not None
+            else _usual_bounds(comparison, terrain, has_store=bool(store), quick=quick),
             areas_km2=tuple(area or ()),
             seed=seed,
         )
@@ -442,17 +287,13 @@ def command_of(name: str, search: Search) -> Callable[..., None]:
             Terminal().progress("building and matching") as progress,
         ):
             rows, built = asked.measure(terrain, place, progress, other)
-            if name == "placing":
-                claimed = {one.spec.name: one.claimed_loss() for one in built}
-                rows = [
-                    {"claimed_loss": claimed[row["store"]], "lost": 1 - row["within_1km"], **row}
-                    for row in rows
-                ]
+            if "claimed_loss" in comparison.columns:
+                rows = _with_losses(rows, built)
         if strange:
             rows = [{**row, "strange": [Path(path).name for path in strange]} for row in rows]
-        options.print_rows(search.shown(rows), search.columns)
+        options.print_rows(comparison.shown(rows), comparison.columns)
         summary = {}
-        if search.holds_plans_to_grids:
+        if comparison.holds_plans_to_grids:
             summary["against_equal"] = trials.against_equal(rows)
             options.print_rows(summary["against_equal"], AGAINST_EQUAL)
         write_record(
@@ -466,9 +307,9 @@ def command_of(name: str, search: Search) -> Callable[..., None]:
 
     command.__name__ = name
     about = (
-        f"{search.about}\n\nStores that are named (--spacing, --places, --threshold-px, --store) "
-        "are searched instead of the usual ones. A query without any candidate counts as wrong by "
-        "half of the area's diagonal."
+        f"{comparison.about}\n\nStores that are named (--spacing, --places, --threshold-px, "
+        "--store) are searched instead of the usual ones. A query without any candidate counts as "
+        "wrong by half of the area's diagonal."
     )
     command.__doc__ = "\n\n".join(
         fill(" ".join(one.split()), _HELP_COLUMNS) for one in about.split("\n\n")

@@ -4,13 +4,13 @@ import json
 import logging
 import math
 from dataclasses import asdict, dataclass
-from functools import partial
+from functools import partial, reduce
 from pathlib import Path
 from typing import Any
 
 from skyline import build_places, build_uniform
 from skyline.errors import InputError
-from skyline.geodesy.bounds import Bounds
+from skyline.geodesy.bounds import Bounds, box_around
 from skyline.paper.build import build_planned
 from skyline.paper.plan import PlanConfig
 from skyline.progress import Progress
@@ -165,10 +165,7 @@ class BuiltStore:
             "build_s": note.get("build_s", math.nan),
             "build_cpu_s": note.get("build_cpu_s", math.nan),
         }
-        bounds_deg = None
-        if boxes_deg is not None:
-            west, south, east, north = zip(*boxes_deg, strict=True)
-            bounds_deg = min(west), min(south), max(east), max(north)
+        bounds_deg = None if boxes_deg is None else reduce(box_around, boxes_deg)
         return cls(spec, path, holds, bounds_deg, digest, figures)
 
     @property
@@ -209,17 +206,10 @@ def equal_grid(plan: BuiltStore, terrain: HeightField, bounds_deg: Bounds | None
     return StoreSpec(plan.holds, round(spacing_m * math.sqrt(found / plan.places), 1))
 
 
-def middle_deg(
-    terrain: HeightField,
-    size_m: tuple[float, float] = (5_000.0, 10_000.0),
-    bounds_deg: Bounds | None = None,
-) -> Bounds:
-    """Return the middle part of bounds, up to a size.
-
-    By default the bounds are the DEM's.
-    """
-    west, south, east, north = map_bounds(terrain, bounds_deg)
-    left, low, right, high = middle_of((west, south, east, north), size_m)
+def middle_deg(terrain: HeightField, size_m: tuple[float, float] = (5_000.0, 10_000.0)) -> Bounds:
+    """Return the middle part of a DEM, up to a size: across, along."""
+    west, south, east, north = terrain.bounds_m
+    left, low, right, high = middle_of(terrain.bounds_m, size_m)
     easting, northing = (west + east) / 2.0, (south + north) / 2.0
     lon, _ = terrain.frame.to_lonlat([left, right], [northing, northing])
     _, lat = terrain.frame.to_lonlat([easting, easting], [low, high])

@@ -119,7 +119,7 @@ def _truth_ahead(matcher: Matcher, query: SyntheticQuery, result: MatchResult) -
         easting_m=np.array([truth.easting_m]),
         northing_m=np.array([truth.northing_m]),
         eye_elevation_m=np.array([truth.eye_elevation_m]),
-        grid_heading_deg=np.array([truth.heading_deg]),
+        grid_heading_deg=np.array([truth.grid_heading_deg]),
         pitch_deg=np.array([truth.pitch_deg]),
         roll_deg=np.array([truth.roll_deg]),
         fov_deg=np.array([fov_deg]),
@@ -146,7 +146,7 @@ def trial_of(
     best = places[0]
     truth = query[0].truth
     named = False
-    turn_deg = abs(float(in_turn(best.grid_heading_deg - truth.heading_deg)))
+    turn_deg = abs(float(in_turn(best.grid_heading_deg - truth.grid_heading_deg)))
     if isinstance(result, JointResult):
         has_stranger = query[-1].truth.easting_m != query[0].truth.easting_m
         named = not (result.agrees[-1] if has_stranger else all(result.agrees))

@@ -119,7 +119,7 @@ function summary() {
 }
 
 // Shows the circle on the map, if it limits the search; its middle moves to a place that is given.
-export function showCircle(middle = null) {
+function showCircle(middle = null) {
   if (middle) state.circle = middle;
   emit("circle", isKnown("near") ? radiusKm() : null);
   show();
