@@ -491,7 +491,7 @@ class Matcher(Closeable):
             narrowings = [None] * len(given)
         if len(given) < 2:
             raise InputError(
-                f"photos of one place: {len(given)}; expected two or more, for one use `match`"
+                f"photos of one place: {len(given)}; expected two photos or more; for one, use `match`"
             )
         if len(narrowings) != len(given):
             raise InputError(
