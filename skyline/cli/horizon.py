@@ -104,7 +104,7 @@ def horizon(
         else:
             eyes = stand_with_notes(terrain, positions, eye_height, summit_within, terminal)
         if file is not None:
-            check_fit(file, len(eyes), bool(surface), terrain.frame.crs)
+            check_fit(file, len(eyes), bool(surface), terrain.frame.lonlat_crs)
         over = read_surface(surface, terrain) if surface else None
         with terminal.progress("rendering") as progress:
             found = horizons_of(terrain, eyes, step_deg, curvature, progress, over, ids)

@@ -491,7 +491,7 @@ class Matcher(Closeable):
             narrowings = [None] * len(given)
         if len(given) < 2:
             raise InputError(
-                f"photos of one place: {len(given)}; expected two or more, for one use `match`"
+                f"{len(given)} photos of one place; expected two photos or more, or `match` for one"
             )
         if len(narrowings) != len(given):
             raise InputError(

@@ -35,6 +35,9 @@ class JointSearch:
     """Least number of places kept."""
     heading_step_deg: float = 6.0
     """Step of the headings that are tried for a photo of unknown heading."""
+    least_share: float = 1e-6
+    """Least weight of a photo at a place. It is far below the weight of a photo that fits, and so
+    large that the weighted mean of matrices is exact."""
 
 
 _SEARCH = JointSearch()
@@ -142,9 +145,7 @@ class JointRefinement:
                 for solver, own in zip(self._solvers, particles, strict=True)
             ]
         )
-        # The mean of the steps exists even where no photo fits.
-        share = np.maximum(share, 1e-6)[..., np.newaxis, np.newaxis]
-        return np.asarray(np.linalg.inv(covariance) * share)
+        return np.asarray(np.linalg.inv(covariance) * share[..., np.newaxis, np.newaxis])
 
     def _poses(self, particles: Sequence[Particles]) -> tuple[tuple[Poses, ...], BoolArray]:
         """Return each photo's poses at the places; see `run`.
@@ -209,6 +210,10 @@ def _cost(off: Float64Array) -> Float64Array:
 
 
 def _share(off: Float64Array) -> Float64Array:
-    """Return the probabilities (N, M) that photos were taken at places."""
+    """Return the probabilities (N, M) that photos were taken at places.
+
+    None is 0: means weighted by them exist even where no photo fits.
+    """
     odds = _SEARCH.stranger - off / TEMPERATURE
-    return 1.0 / (1.0 + np.exp(-np.clip(odds, -GREATEST_LOG_ODDS, GREATEST_LOG_ODDS)))
+    share = 1.0 / (1.0 + np.exp(-np.clip(odds, -GREATEST_LOG_ODDS, GREATEST_LOG_ODDS)))
+    return np.maximum(share, _SEARCH.least_share)

@@ -181,6 +181,8 @@ def test_photos_of_one_place_have_one_answer_and_a_stranger_is_named(
         found = matcher.match_together(photos, top=3)
     assert found.agrees == (True, False, True, False)
     assert found.answer is found.places[0]
+    # Also a place where no photo fits is known no better than its skyline tells.
+    assert min(place.radius_m for place in found.places) > 0.5
     within_m = 3.0 * np.sqrt(np.trace(found.answer.covariance_m2))
     # Costs, and so precisions, count less by the temperature.
     assert error_m(found.answer, first.truth) < within_m < 60.0 * np.sqrt(TEMPERATURE)

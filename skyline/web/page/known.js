@@ -87,6 +87,7 @@ export function placeIn(text) {
 
 function typed() {
   const text = $("near-place").value;
+  settle("place");
   if (!text.trim()) {
     isGiven = true;
     $("near-known").checked = false;
@@ -94,7 +95,6 @@ function typed() {
   }
   const place = placeIn(text);
   if (!place) return alertUser("A place is a latitude and a longitude in degrees, such as 46.80, 9.84.", "place");
-  settle("place");
   searchAround(place);
 }
 
