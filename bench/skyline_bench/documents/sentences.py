@@ -231,7 +231,7 @@ SENTENCES: Mapping[str, Sequence[Sentence]] = {
             "{} of {} plans gain; where it is close, {} of {}",
             _gains,
         ),
-        Sentence("were learned from {} examples", _learned),
+        Sentence("have learned from {} examples", _learned),
         Sentence(
             "{} of {} photos of the Sierra Nevada is answered",
             lambda results: counts(
