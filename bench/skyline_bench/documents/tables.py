@@ -429,7 +429,8 @@ def photographs(results: Results) -> Table:
     shown = {
         "photos_california": "California",
         "photos_california_gps": "the same with `--use-gps`",
-        "photos_california_tiles": "the same, in 40 tiles",
+        "photos_california_nine_tiles": "eight of them, in nine tiles",
+        "photos_california_tiles": "all ten, in 40 tiles",
         "photos_columbia": "Columbia Glacier, traces",
         "photos_columbia_photos": "Columbia Glacier, the photographs of some of these traces",
         "panoramas": "panoramas, drawn",
