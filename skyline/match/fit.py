@@ -21,7 +21,6 @@ from skyline.arrays import BoolArray, Float32Array, Float64Array, FloatArray
 from skyline.camera import near_level_changes
 from skyline.match.rays import REFERENCE_FOV_DEG, Rays
 from skyline.pose import Poses
-from skyline.pose_errors import ASSUMED
 from skyline.store.places import Places
 
 _HEADING, _PITCH, _ROLL, _LOG_SCALE, _EAST, _NORTH, _WANDER = range(7)
@@ -37,12 +36,17 @@ _DAMPING = np.float32(1e-3)
 
 @dataclass(frozen=True, slots=True)
 class FitErrors:
-    """Errors that a fit to a stored skyline assumes."""
+    """Errors and priors that a fit to a stored skyline assumes."""
 
     photo_deg: float = 0.06
     """Error of the mean of a run of rays, at a field of view of 60 degrees."""
     curvature: float = 0.05
     """Error of the tangent over (t / D)^2, for an eye at t from its place and terrain at D."""
+    pitch_sd_deg: float = 5.0
+    roll_sd_deg: float = 4.0
+    """Standard deviations from a level camera. A skyline that is seen from beside the place is
+    tilted to first order, so the roll is less well known than in
+    `skyline.pose_errors.AssumedErrors`."""
     most: float = 8.0
     """Greater misses of a ray count as this, in expected errors: in coarse elevation models, rays
     of the right pose miss by several."""
@@ -213,8 +217,8 @@ class CurveFit:
         """
         columns = _WANDER + self._wander.shape[1]
         prior = np.zeros((len(self._places), columns), dtype=np.float32)
-        prior[:, _PITCH] = np.radians(ASSUMED.level_pitch_sd_deg) ** -2.0
-        prior[:, _ROLL] = np.radians(ASSUMED.level_roll_sd_deg) ** -2.0
+        prior[:, _PITCH] = np.radians(_ERRORS.pitch_sd_deg) ** -2.0
+        prior[:, _ROLL] = np.radians(_ERRORS.roll_sd_deg) ** -2.0
         prior[:, _MOVE] = self._deviation_m**-2.0
         if self._rays.is_panorama:
             prior[:, _WANDER:] = self._rays.warp_sd**-2.0
