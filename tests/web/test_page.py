@@ -554,7 +554,7 @@ def test_many_photos_are_found_in_turn_and_say_where_they_were(page, photo, dem,
     assert near[:2] == pytest.approx([place.lon, place.lat], abs=1e-5)
     # While the server is silent, the answer of one photo does not stand under another.
     page.script("window.asked = window.fetch; window.fetch = () => new Promise(() => {})")
-    assert "Found" in page.find("#answer").text
+    assert page.find("#answer").text
     page.click("#photos li:first-child .pick")
     assert page.find("#answer").text == ""
     assert not page.find("#find").is_enabled()
