@@ -41,7 +41,7 @@ def write_horizons(horizons: LocalHorizons, path: Path) -> None:
     place would hold several, a surface, an unknown value, or a horizon of another world.
     """
     kind = kind_of_horizons(path)
-    check_fit(path, len(horizons), horizons.has_surface, horizons.crs)
+    check_fit(path, horizons.size, horizons.has_surface, horizons.crs)
     if kind not in _OF_MANY and not np.isfinite(horizons.elevation_deg).all():
         raise InputError(
             "the horizon is unknown at some azimuths; choose a place farther from the border of "
