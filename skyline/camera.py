@@ -100,7 +100,7 @@ class Projection(StrEnum):
 
     @property
     def _fov_hint(self) -> str:
-        """What an error adds about fields of view in this projection."""
+        """What errors say of the fields of view of this projection."""
         if self.is_panorama:
             return "a full turn is the most"
         if self is Projection.FISHEYE:

@@ -73,7 +73,7 @@ class Row:
         return self["id"] or self["name"]
 
     def readings(self, column: str) -> list[str]:
-        """Return what a number's text may mean, with a decimal point and nothing else.
+        """Return the numbers that a text may stand for, as texts with decimal points.
 
         It is empty for a text that the table's way of writing numbers does not explain.
         """

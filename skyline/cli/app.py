@@ -54,10 +54,10 @@ def command_line(name: str, about: str, commands: type[TyperGroup] | None = None
 def command_of(found: Callable[..., Any] | typer.Typer, name: str) -> Any:
     """Return a command, or a group of them, with the option ``--quiet``."""
     if isinstance(found, typer.Typer):
-        return _with_quiet(typer.main.get_group(found))
+        return _tidy(_with_quiet(typer.main.get_group(found)))
     alone = typer.Typer(add_completion=False)
     alone.command(name)(found)
-    return _with_quiet(typer.main.get_command(alone))
+    return _tidy(_with_quiet(typer.main.get_command(alone)))
 
 
 def _with_quiet(command: Any) -> Any:
@@ -72,14 +72,17 @@ def _with_quiet(command: Any) -> Any:
         alone = typer.Typer(add_completion=False)
         alone.command()(_with_option)
         command.params += typer.main.get_command(alone).params
-    return _tidy(command)
+    return command
 
 
 def _tidy(command: Any) -> Any:
     """Return a command whose flags show no type, and whose help fills its lines.
 
-    Typer would show ``--json <bool>``, and break lines of the help where the docstring does.
+    So are the commands of a group. Typer would show ``--json <bool>``, and break lines of the help
+    where the docstring does.
     """
+    for one in getattr(command, "commands", {}).values():
+        _tidy(one)
     if command.help:
         paragraphs = inspect.cleandoc(command.help).split("\n\n")
         command.help = "\n\n".join(" ".join(one.split()) for one in paragraphs)

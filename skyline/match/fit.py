@@ -44,9 +44,9 @@ class FitErrors:
     """Error of the tangent over (t / D)^2, for an eye at t from its place and terrain at D."""
     pitch_sd_deg: float = 5.0
     roll_sd_deg: float = 4.0
-    """Standard deviations from a level camera. A skyline that is seen from beside the place is
-    tilted to first order, so the roll is less well known than in
-    `skyline.pose_errors.AssumedErrors`."""
+    """Standard deviations from a level camera. Refinement takes 6 and 3 degrees
+    (`skyline.pose_errors.AssumedErrors`); with these, fits lost one of 150 queries, and an unmarked
+    panorama was no longer named."""
     most: float = 8.0
     """Greater misses of a ray count as this, in expected errors: in coarse elevation models, rays
     of the right pose miss by several."""

@@ -83,8 +83,8 @@ def test_depth_of_a_plane_is_good_to_a_ten_thousandth(eye_height_m, is_hardware)
 def test_pictures_tell_their_progress(tmp_path):
     field = field_from(lambda e, n: 0.0 * e + 0.0 * n, 21, 10.0)
     eyes = stand_on(field, easting_m=[0.0, 5.0], northing_m=[0.0, 0.0], eye_height_m=2.0)
-    told = []
+    reports = []
     save_depth_pictures(
-        field, eyes, tmp_path, RenderConfig(16), progress=lambda *done: told.append(done)
+        field, eyes, tmp_path, RenderConfig(16), progress=lambda *done: reports.append(done)
     )
-    assert told == [(1, 2), (2, 2)]
+    assert reports == [(1, 2), (2, 2)]

@@ -274,18 +274,18 @@ def test_a_large_area_is_searched_again_around_its_best_answers(
     assert max(errors_m(0)) < 0.5 * PLACES_M
 
 
-def test_the_search_around_the_best_answers_is_the_last_step_and_told_by_answer(
+def test_the_search_around_the_best_answers_is_the_last_step_and_reported_by_answer(
     store, terrain, queries, monkeypatch
 ):
     monkeypatch.setattr(search.FullMatcher, "sure_margin", math.inf)
     monkeypatch.setattr(search.FullMatcher, "large_area", 0)
     monkeypatch.setattr(search, "_SURROUNDINGS_KM", 0.05)
-    told = []
+    reports = []
     with Matcher(store, terrain, config=BOLD) as matcher:
-        matcher.match(queries[0].skyline, report_progress=lambda *step: told.append(step))
-    shares = [share for step, share in told if step == Step.SURROUNDINGS]
+        matcher.match(queries[0].skyline, report_progress=lambda *report: reports.append(report))
+    shares = [share for step, share in reports if step == Step.SURROUNDINGS]
     assert shares == pytest.approx([0.0, 1 / 3, 2 / 3])
-    assert [step for step, _ in told[-3:]] == [Step.SURROUNDINGS] * 3
+    assert [step for step, _ in reports[-3:]] == [Step.SURROUNDINGS] * 3
 
 
 def test_the_number_of_candidates_changes_none_of_them(store, terrain, queries):

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from textwrap import fill
 from typing import Annotated
 
 from typer import Option
@@ -38,8 +37,6 @@ _QUICK_M = 3000.0
 _QUICK_QUERIES = 3
 AGAINST_EQUAL = """store uniform matcher queries km2 n gain_points half_points=95_%:_±_points
     error_ratio"""
-_HELP_COLUMNS = 78
-"""Help keeps the lines of later paragraphs, and terminals have 80 columns."""
 
 
 def _grids(holds: str = PLACES, spacings_m: Sequence[float] = _GRIDS_M) -> list[StoreSpec]:
@@ -106,7 +103,7 @@ def _usual_bounds(
 
 
 def _with_losses(rows: Sequence[Row], built: Sequence[BuiltStore]) -> list[Row]:
-    """Return rows with the losses that plans claim, and those of the queries."""
+    """Return rows with the loss that each plan claims, and the measured one."""
     claimed = {one.spec.name: one.claimed_loss() for one in built}
     return [
         {"claimed_loss": claimed[row["store"]], "lost": 1 - row["within_1km"], **row}
@@ -306,12 +303,9 @@ def command_of(name: str, comparison: Comparison) -> Callable[..., None]:
         )
 
     command.__name__ = name
-    about = (
+    command.__doc__ = (
         f"{comparison.about}\n\nStores that are named (--spacing, --places, --threshold-px, "
         "--store) are searched instead of the usual ones. A query without any candidate counts as "
         "wrong by half of the area's diagonal."
-    )
-    command.__doc__ = "\n\n".join(
-        fill(" ".join(one.split()), _HELP_COLUMNS) for one in about.split("\n\n")
     )
     return command
