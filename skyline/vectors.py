@@ -91,8 +91,8 @@ class Vectors:
     ) -> None:
         """Raise `InputError` if the vectors' photo has another name or size.
 
-        So does a drawing of several vertices within a pixel: such coordinates are shares of the
-        width and height. ``is_turned`` is as in `skyline.photo.photo.Photo`.
+        Vertices that all lie within one pixel are refused as well: they are shares of the width and
+        height. ``is_turned`` is as in `skyline.photo.photo.Photo`.
         """
         if self.as_stored and is_turned:
             raise not_upright(self.path, photo)

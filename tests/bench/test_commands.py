@@ -36,6 +36,14 @@ def test_short_ones_write_their_rows(run_bench, dem, tmp_path, command, rows, ke
     assert all(row[key] >= 0.0 for row in written["rows"])
 
 
+def test_help_fills_the_lines_that_a_docstring_breaks(run_bench):
+    shown = run_bench("placing", "--help").ok().out
+    paragraph = shown[shown.index("The claimed loss") : shown.index("Stores that are named")]
+    first, second = paragraph.strip().splitlines()
+    assert len(first) + len(second.split()[0]) > 70, "the next word would fit"
+    assert second.strip().endswith("is lost.")
+
+
 RESULTS = ROOT / "bench" / "results"
 
 
