@@ -205,9 +205,9 @@ class Sky:
         self._observer = observer
         self._bodies: dict[Body, Any] = {Body.SUN: ephem.Sun(), Body.MOON: ephem.Moon()}
 
-    def look(self, body: Body, at: datetime) -> InSky:
-        """Return where a body stands at a time in UTC."""
-        self._observer.date = at.replace(tzinfo=None)
+    def look(self, body: Body, at: datetime | str) -> InSky:
+        """Return where a body stands at a time; it and its errors are as in `time_of`."""
+        self._observer.date = time_of(at).replace(tzinfo=None)
         seen = self._bodies[body]
         seen.compute(self._observer)
         return InSky(*np.degrees([seen.az, seen.alt, seen.radius]).tolist())

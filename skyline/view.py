@@ -436,11 +436,12 @@ class Viewer(Closeable):
                 (hidden if is_inside else outside).append(name)
         return UnseenPeaks(hidden=tuple(hidden), outside=tuple(outside), off_map=tuple(off_map))
 
-    def bodies(self, pose: Pose, photo: PhotoSkyline, at: datetime) -> list[SeenBody]:
+    def bodies(self, pose: Pose, photo: PhotoSkyline, at: datetime | str) -> list[SeenBody]:
         """Return which of sun and moon a photo shows at a time.
 
-        Raises `OffMapError` for a pose off the map or on a hole, and `InputError` as `look`, or if
-        PyEphem is not installed or the DEM is of another world than the Earth.
+        A time without a zone is in UTC if it is a `datetime`, and is refused if it is text. Raises
+        `OffMapError` for a pose off the map or on a hole, and `InputError` as `look`, or if PyEphem
+        is not installed or the DEM is of another world than the Earth.
         """
         check_is_earth(self.terrain.frame.crs)
         photo.projection.check_fov_deg(pose.fov_deg)

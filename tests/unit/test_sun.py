@@ -45,6 +45,14 @@ def test_a_time_is_read_in_its_zone():
             time_of(given)
 
 
+@pytest.mark.parametrize("at", [datetime(2026, 12, 21, 12, tzinfo=UTC), "2026-12-21T12:00Z"])
+def test_a_body_stands_in_one_place_whatever_the_zone_of_the_time(at):
+    sky = Sky(9.85, 46.75, 0.0)
+    in_davos = datetime(2026, 12, 21, 13, tzinfo=timezone(timedelta(hours=1)))
+    # The sun moves by 14 degrees of azimuth in an hour, and this is one moment.
+    assert sky.look(Body.SUN, in_davos) == sky.look(Body.SUN, at)
+
+
 # A mountain 1,000 m above a plain, and steeper than any shadow here.
 SPIRE = field_from(
     lambda east, north: 1000.0 + np.maximum(0.0, 1000.0 - 10.0 * np.hypot(east, north)), 401, 30.0
