@@ -623,6 +623,14 @@ class Camera:
     distortion: float = 0.0
     wander: tuple[float, ...] = ()
 
+    def check_inside(self, pixel: Pixel) -> None:
+        """Raise `InputError` for a pixel outside the picture."""
+        if not in_picture(*pixel, self.width_px, self.height_px):
+            raise InputError(
+                f"pixel {pixel[0]:g},{pixel[1]:g} is outside the photo of {self.width_px} x "
+                f"{self.height_px} pixels; expected COLUMN,ROW from the upper left corner"
+            )
+
     @property
     def warp(self) -> tuple[float, ...]:
         """The distortion of a lens, or all factors of a panorama's wander."""

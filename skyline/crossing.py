@@ -92,8 +92,8 @@ def cross(rays: Sequence[Ray], curvature: Curvature, pixel_sd_px: float = PIXEL_
     Raises
     ------
     InputError
-        There are fewer than two rays, they are parallel within their errors, or they cross behind a
-        camera.
+        There are fewer than two rays, a pixel is outside its photo, or the rays are parallel within
+        their errors or cross behind a camera.
     """
     if len(rays) < 2:
         raise InputError(
@@ -140,9 +140,11 @@ class _Seen:
     @classmethod
     def of(cls, ray: Ray, pixel_sd_px: float) -> "_Seen":
         pose = ray.pose
+        camera = pose.camera(ray.photo)
+        camera.check_inside(ray.pixel)
         covariance = pose.covariance_or_assumed(ray.photo)
         column_px, row_px = ray.pixel
-        seen = Bearings.of(pose.camera(ray.photo), [column_px], [row_px], len(covariance))
+        seen = Bearings.of(camera, [column_px], [row_px], len(covariance))
         by_pixel = pixel_sd_px * seen.by_pixel[0]
         return cls(
             eye_m=np.array([pose.easting_m, pose.northing_m, pose.eye_elevation_m]),

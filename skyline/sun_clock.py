@@ -16,7 +16,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from skyline.arrays import Float64Array
-from skyline.camera import Camera, Pixel, in_picture
+from skyline.camera import Pixel
 from skyline.errors import InputError
 from skyline.geodesy.bounds import in_turn
 from skyline.ground import GroundErrors, GroundPoints, GroundView
@@ -138,7 +138,7 @@ def body_pointing(
     Raises `InputError` for a pixel outside the photo.
     """
     camera = pose.camera(photo)
-    _check_inside(camera, pixel)
+    camera.check_inside(pixel)
     of_pose = pose.covariance_or_assumed(photo)
     seen = Bearings.of(camera, [pixel[0]], [pixel[1]], len(of_pose))
     changes = np.concatenate([seen.by_pose[0], seen.by_pixel[0]], axis=1)
@@ -175,7 +175,7 @@ def shadow_pointing(
     errors = errors or GroundErrors()
     tip, foot, top = (*shadow, shadow[1])[:3]
     for pixel in shadow:
-        _check_inside(view.camera, pixel)
+        view.camera.check_inside(pixel)
     column_px, row_px = np.array([tip, foot]).T
     ground = view.points(column_px, row_px, errors)
     if ground.is_sky.any():
@@ -370,15 +370,6 @@ def _refined(pointing: Pointing, sky: Sky, body: Body, at: datetime) -> ClockTim
         azimuth_deg=seen.azimuth_deg,
         elevation_deg=seen.elevation_deg,
     )
-
-
-def _check_inside(camera: Camera, pixel: Pixel) -> None:
-    """Raise `InputError` for a pixel outside a camera's photo."""
-    if not in_picture(*pixel, camera.width_px, camera.height_px):
-        raise InputError(
-            f"pixel {_named(pixel)} is outside the photo of {camera.width_px} x "
-            f"{camera.height_px} pixels; expected COLUMN,ROW from the upper left corner"
-        )
 
 
 def _named(pixel: Pixel) -> str:

@@ -91,6 +91,12 @@ def test_rays_without_a_crossing_are_refused():
         cross([ray_from(0.0, 0.0)], CURVED)
 
 
+def test_a_pixel_outside_its_photo_is_refused():
+    outside = replace(ray_from(4000.0, 0.0), pixel=(4000.0, 1500.0))
+    with pytest.raises(InputError, match="pixel 4000,1500 is outside the photo of 4000 x 3000"):
+        cross([ray_from(-4000.0, 0.0), outside], CURVED)
+
+
 def drawn_root(rng, across):
     """Return a root (8, 8) of a covariance: a camera that is aside is turned back, as by a fit.
 
