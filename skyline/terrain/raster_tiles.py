@@ -64,6 +64,7 @@ _UNIT_TAGS = ("units", "unit", "unittype")
 _VOID_ATTRS = ("_FillValue", "missing_value", "nodata", "nodatavals")
 """Attributes of arrays that give the value of voids: CF's, and those of odc-geo and of xarray's
 former reader of rasters."""
+_NUMBER = re.compile(r"[^\s,{}]+")
 _ZUNITS = re.compile(r"^\s*Zunits\s+(\S+)", re.IGNORECASE | re.MULTILINE)
 """The line of an ArcInfo ``.prj`` that names the unit of heights."""
 
@@ -174,6 +175,10 @@ def _tile_of(
                 "header lacks a corner; name xllcorner and yllcorner in it, or xllcenter and "
                 "yllcenter, or convert the grid to GeoTIFF if it lies there"
             )
+        # GDAL takes a netCDF file's uneven latitudes for even ones, and notes them here.
+        noted = dataset.tags(ns="GEOLOCATION2").get("Y_VALUES", "")
+        if latitudes := _NUMBER.findall(noted):
+            _step(source, "lat", np.array(latitudes, dtype=np.float64))
         grid, north_up = _grid_of(source, transform, dataset.shape)
         for name, unit in dataset.tags().items():
             if name in {f"{dim}#units" for dims in _DIMS for dim in dims}:

@@ -128,6 +128,16 @@ except InputError as error:
         assert_says(r"several rasters \(netcdf:.*:dem.* name its", lambda: read_dem(tmp_path))
         assert_says("cannot be read", lambda: read_dem(f"netcdf:{lakes}:nothing"))
 
+    def test_latitudes_that_are_even_on_a_map_of_mercator_only(self, tmp_path):
+        # The middle of 46 to 48 degrees on that map is 47.0094 degrees, 1 km off.
+        lat = np.degrees(np.arcsin(np.tanh(np.linspace(*np.arctanh(np.sin(np.radians([46, 48])))))))
+        lon = 9.0 + 0.04 * np.arange(50)
+        heights = xarray.DataArray(mountains((50, 50)), {"lat": lat, "lon": lon}, ("lat", "lon"))
+        heights.lat.attrs["units"], heights.lon.attrs["units"] = "degrees_north", "degrees_east"
+        heights.to_dataset(name="z").to_netcdf(tmp_path / "mercator.nc", engine="scipy")
+        said = "mercator.nc has coordinates along lat that are not even; resample it"
+        assert_says(said, lambda: read_dem(tmp_path / "mercator.nc", DemOptions(crs="EPSG:4326")))
+
     def test_a_saved_field_that_is_cut_short(self, tmp_path):
         path = tmp_path / "dem.terrain"
         save_field(field_of(mountains()), path)
