@@ -118,7 +118,7 @@ class PointsFit:
     def to_dict(self) -> dict[str, Any]:
         """Return the fit as ``skyline orient --points --json`` prints it."""
         record: dict[str, Any] = {"photo": printable(self.name), "trusted": int(not self.refusal)}
-        record |= self.pose.to_dict()
+        record |= self.photo.form | self.pose.to_dict()
         record |= {f"{name}_sd_deg": sd for name, sd in self.sds_deg.items()}
         points = [
             {"name": name, "across_px": across, "down_px": down, "used": used}

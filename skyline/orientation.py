@@ -126,7 +126,7 @@ class Orientation:
         """Return the orientation as ``skyline orient --json`` prints it."""
         pose = {} if self.pose is None else self.pose.to_dict()
         lists = {"wander": pose.get("wander", ()), "covariance": pose.get("covariance")}
-        return self.to_row() | {"projection": str(self.skyline.projection)} | lists
+        return self.to_row() | self.skyline.form | lists
 
     def to_dataframe(self) -> DataFrame:
         """Return the orientation as a pandas DataFrame of one row."""

@@ -10,8 +10,14 @@ from skyline.camera import Projection
 from skyline.errors import InputError, printable
 from skyline.files import is_name_of, read_bytes
 from skyline.noted_pose import EXPECTED_RECORD, NotedPose, noted_projection
+from skyline.photo.frame import Size, is_whole
 from skyline.photo.photo import Photo, read_photo
+from skyline.photo.skyline import PhotoSkyline
+from skyline.photo.tags import positive
 from skyline.store.read import is_store
+
+_FORM = ("projection", "width_px", "height_px")
+"""What `skyline.photo.skyline.PhotoSkyline.form` has."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,10 +40,28 @@ class PoseRecord:
             return None
         return noted_projection(self.content, f"pose {self.path}")
 
-    def pose(self, projection: Projection) -> NotedPose:
-        """Return the pose of a photo of a projection; raises as `NotedPose.from_dict`."""
-        noted = NotedPose.from_dict(self.content, projection, f"pose {self.path}")
+    def pose(self, photo: PhotoSkyline) -> NotedPose:
+        """Return the pose of a photo, whose projection and size count.
+
+        Raises `InputError` if the record names the size of a photo of another shape, and as
+        `NotedPose.from_dict`.
+        """
+        noted = NotedPose.from_dict(self.content, photo.projection, f"pose {self.path}")
+        width, height = (positive(self.content.get(name)) for name in ("width_px", "height_px"))
+        if width and height:
+            self._check_shape((photo.width_px, photo.height_px), (width, height))
         return replace(noted, doubt=self.doubt)
+
+    def _check_shape(self, size_px: tuple[int, int], noted: Size) -> None:
+        """Raise `InputError` for a photo of another shape; it may be larger or smaller."""
+        # Scaling rounds each side to a pixel.
+        rounding = sum(1.0 / min(sides) for sides in zip(size_px, noted, strict=True))
+        if not is_whole(size_px, noted, rounding):
+            raise InputError(
+                f"pose {self.path} is of a photo of {noted[0]:g} x {noted[1]:g} px, and this one "
+                f"has {size_px[0]:g} x {size_px[1]:g}: it was cropped or turned; give the photo as "
+                "it was, or find its pose anew"
+            )
 
 
 def read_pose(path: Path, photo: Path) -> PoseRecord:
@@ -56,10 +80,10 @@ def read_pose(path: Path, photo: Path) -> PoseRecord:
             raise InputError(f"pose {path} is of a match that found no place; give another pose")
         if record.get("answer") is None:
             doubt = f"{path} has no answer, so the best candidate is taken"
-        projection = record.get("projection")
+        form = {name: record.get(name) for name in _FORM}
         record = record.get("answer") or candidates[0]
         if isinstance(record, dict):
-            record = {"projection": projection} | record
+            record = form | record
     elif isinstance(record, dict) and record.get("refusal"):
         doubt = f"the pose in {path} is not trusted: {printable(str(record['refusal']))}"
     if isinstance(record, dict) and "trusted" in record:
@@ -78,7 +102,7 @@ def read_posed(
     """
     record = read_pose(pose, photo)
     read = read_photo(photo, projection=projection or record.projection)
-    return read, record.pose(read.blank.projection)
+    return read, record.pose(read.blank)
 
 
 def _check_photo(record: Any, path: Path, photo: Path) -> None:

@@ -233,7 +233,7 @@ class MatchResult:
         return {
             "photo": printable(self.name),
             **({"id": printable(self.id)} if self.id else {}),
-            "projection": str(self.skyline.projection),
+            **self.skyline.form,
             "answer": candidates[0] if self.answer is not None else None,
             "answer_within_m": self.within_m,
             "answer_confidence": self.confidence,

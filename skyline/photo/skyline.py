@@ -138,6 +138,15 @@ class PhotoSkyline:
         )
 
     @property
+    def form(self) -> dict[str, str | int]:
+        """Projection and size of the photo, as records of its pose have them."""
+        return {
+            "projection": str(self.projection),
+            "width_px": self.width_px,
+            "height_px": self.height_px,
+        }
+
+    @property
     def trusted(self) -> BoolArray:
         """(W,) bool: True for columns with a skyline."""
         return np.isfinite(self.row_px)

@@ -44,7 +44,7 @@ def photo_horizon(
     """
     record = read_pose(task.pose, task.photo)
     photo = read_skyline(task.photo, projection=task.projection or record.projection)
-    noted = record.pose(photo.projection)
+    noted = record.pose(photo)
     with Viewer(terrain) as viewer:
         pose = shown_pose(noted, viewer, listener)
     column_px = np.flatnonzero(photo.trusted)

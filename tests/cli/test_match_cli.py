@@ -33,8 +33,8 @@ def test_extract_then_match_the_trace(run, store, dem, photo, tmp_path):
     assert cv2.imread(str(overlay)).shape == (640, 960, 3)
     found = run("match", store, trace, "--fov-deg", "60", "--json").ok()
     record = json.loads(found.out)
-    keys = """photo projection answer answer_within_m answer_confidence candidates seconds
-        loading_seconds"""
+    keys = """photo projection width_px height_px answer answer_within_m answer_confidence
+        candidates seconds loading_seconds"""
     assert set(record) == set(keys.split())
     keys = """easting_m northing_m lon lat eye_elevation_m radius_m heading_deg pitch_deg roll_deg
         fov_deg cost confidence confidence_1km refined beyond_share distortion wander

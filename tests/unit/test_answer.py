@@ -68,6 +68,8 @@ def test_a_refusal_is_a_record_without_an_answer():
     assert REFUSED.to_dict() == {
         "photo": "c.jpg",
         "projection": "perspective",
+        "width_px": 40,
+        "height_px": 30,
         "seconds": 1.5,
         "refusal": "no place fits",
         "answer": None,

@@ -107,6 +107,14 @@ def test_one_wrong_point_of_six_is_named_and_moves_nothing(wrong):
     assert [one["used"] for one in found.to_dict()["points"]].index(False) == wrong
 
 
+def test_the_record_of_a_pose_by_points_has_the_form_of_its_photo():
+    found = fit_points(VIEWER, photo_of(), points_of(), known_at(), EXACT)
+    fisheye = replace(found.photo, projection=Projection.FISHEYE)
+    record = replace(found, photo=fisheye).to_dict()
+    size = {"width_px": fisheye.width_px, "height_px": fisheye.height_px}
+    assert record.items() >= ({"projection": "fisheye"} | size).items()
+
+
 def test_errors_are_those_that_the_covariance_says():
     """No unbiased estimate is better: the covariance is the inverse of the information."""
     rng = np.random.default_rng(3)

@@ -6,9 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from PIL import Image
 from scenes import candidate_at, fractal, write_dem
 
 from skyline import InputError, Narrowing, NotedPose, OffMapError, Projection, Viewer, read_dem
+from skyline.pose_file import read_posed
 
 LENS = Projection.PERSPECTIVE
 LEAST = {"lon": 9, "lat": 46, "heading_deg": 1, "fov_deg": 60}
@@ -61,6 +63,18 @@ def test_a_record_of_another_projection_is_refused():
     for record in (fisheye, LEAST | {"projection": "round"}):
         with pytest.raises(InputError):
             NotedPose.from_dict(record, LENS)
+
+
+def test_a_pose_is_of_photos_of_one_shape_whatever_their_size(tmp_path):
+    pose, photo = tmp_path / "pose.json", tmp_path / "photo.png"
+    pose.write_text(json.dumps(LEAST | {"width_px": 400, "height_px": 300}))
+    for size in ((400, 300), (800, 600), (133, 100)):
+        Image.new("RGB", size).save(photo)
+        assert read_posed(photo, pose)[1].fov_deg == 60.0
+    for size in ((400, 225), (300, 400)):
+        Image.new("RGB", size).save(photo)
+        with pytest.raises(InputError, match=r"of 400 x 300 px.* it was cropped or turned"):
+            read_posed(photo, pose)
 
 
 def test_a_height_counts_from_the_ground_and_an_elevation_from_the_datum(tmp_path):
