@@ -22,8 +22,8 @@ _MISNAMED = {
     for names, ends, meant in (
         (("pitch", "tilt"), _ANGLE_ENDS, "pitch_deg"),
         (("roll",), _ANGLE_ENDS, "roll_deg"),
-        (("eye_elevation", "elevation", "altitude", "ele"), _LENGTH_ENDS, "eye_elevation_m"),
-        (("eye_height", "height"), _LENGTH_ENDS, "eye_height_m"),
+        (("eye_elevation", "elevation", "altitude", "alt", "ele"), _LENGTH_ENDS, "eye_elevation_m"),
+        (("eye_height", "height", "agl"), _LENGTH_ENDS, "eye_height_m"),
     )
     for name in names
     for end in ends

@@ -7,7 +7,7 @@ are GeoJSON in degrees (RFC 7946), the tracks, routes and waypoints of GPX, or a
 import json
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -43,7 +43,10 @@ _LEAST_VERTICES = {POINT: 1, LINE: 2, POLYGON: 3}
 _SVG_SHAPES = ("polygon", "polyline", "line", "rect", "circle", "ellipse", "path")
 _SVG_UNSEEN = ("defs", "clipPath", "mask", "symbol", "marker", "pattern")
 """Elements of SVG whose shapes are not drawn where they stand."""
-_SVG_HIDES = re.compile(r"\bdisplay\s*:\s*none")
+_SVG_HIDES = re.compile(r"\b(display\s*:\s*none|visibility\s*:\s*(hidden|collapse))")
+_SVG_RULE = re.compile(r"([^{}]*)\{([^{}]*)\}")
+_SVG_NAME = re.compile(r"(?:[\w-]*[.#])?[\w-]+")
+"""A selector of one element's class, id or name, the only ones that programs write."""
 _SVG_MOVES = re.compile(r"\b(transform|translate|rotate|scale)\s*:\s*(?!none)\S")
 _SVG_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _SVG_STEP = re.compile(rf"([a-zA-Z])|({_SVG_NUMBER})")
@@ -416,7 +419,8 @@ def _of_svg(path: Path, root: Element) -> Vectors:
     sides = [re.match(_SVG_NUMBER, root.get(side, "")) for side in ("width", "height")]
     size = box[2:] if len(box) == 4 else [float(one[0]) for one in sides if one is not None]
     corner = box[:2] if len(box) == 4 else [0.0, 0.0]
-    hidden = [one for one in root.iter() if _tag(one) in _SVG_UNSEEN or _is_hidden(one)]
+    hiding = set(_hiding_selectors(path, root))
+    hidden = [one for one in root.iter() if _tag(one) in _SVG_UNSEEN or _is_hidden(one, hiding)]
     unseen = {part for one in hidden for part in one.iter()}
     shapes = []
     for number, one in enumerate(root.iter(), start=1):
@@ -444,9 +448,36 @@ def _style_of(one: Element) -> str:
     return (one.text or "") if _tag(one) == "style" else one.get("style", "")
 
 
-def _is_hidden(one: Element) -> bool:
-    """Return whether an element of SVG is not shown, as a hidden layer."""
-    return one.get("display") == "none" or bool(_SVG_HIDES.search(one.get("style", "")))
+def _hiding_selectors(path: Path, root: Element) -> Iterator[str]:
+    """Yield the selectors of an SVG's rules that hide elements: ``.st0``, ``#sketch``, ``g``.
+
+    Illustrator hides layers so. Raises `InputError` for other selectors.
+    """
+    sheets = [one.text or "" for one in root.iter() if _tag(one) == "style"]
+    for selectors, rules in _SVG_RULE.findall(
+        re.sub(r"/\*.*?\*/", "", " ".join(sheets), flags=re.S)
+    ):
+        if not _SVG_HIDES.search(rules):
+            continue
+        for one in map(str.strip, selectors.split(",")):
+            if not _SVG_NAME.fullmatch(one):
+                raise InputError(
+                    f"{path} hides shapes by the rule {printable(one)[:40]}; expected one class or "
+                    "id: delete what is hidden, or export GeoJSON"
+                )
+            yield one
+
+
+def _is_hidden(one: Element, hiding: Collection[str]) -> bool:
+    """Return whether an element of SVG is not shown, as a hidden layer.
+
+    ``hiding`` has the selectors of rules that hide elements.
+    """
+    own = f"display:{one.get('display')};visibility:{one.get('visibility')};{one.get('style')}"
+    tag = _tag(one)
+    marks = [f".{name}" for name in one.get("class", "").split()] + [f"#{one.get('id')}"]
+    names = {tag, *marks, *(f"{tag}{mark}" for mark in marks)}
+    return bool(_SVG_HIDES.search(own)) or not names.isdisjoint(hiding)
 
 
 def _svg_rings(path: Path, where: str, one: Element) -> Iterator[tuple[str, Float64Array]]:

@@ -290,6 +290,8 @@ class TestPoses:
             (LEAST | {"pitch": 4}, "has pitch, which is not read; give it as pitch_deg"),
             (LEAST | {"elevation_m": 24}, "elevation_m, which is not read; give it as eye_elevati"),
             (LEAST | {"altitude_ft": 7874}, "has altitude_ft, which is not read; give it as eye_e"),
+            (LEAST | {"alt": 2400}, "has alt, which is not read; give it as eye_elevation_m"),
+            (LEAST | {"agl_m": 80}, "has agl_m, which is not read; give it as eye_height_m"),
         ],
     )
     def test_that_are_none(self, record, said):

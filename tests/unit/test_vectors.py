@@ -145,6 +145,34 @@ def test_an_svg_s_own_corner_and_what_it_does_not_draw_are_left_out(read):
     np.testing.assert_array_equal(only.rings[0], PIXELS)
 
 
+@pytest.mark.parametrize(
+    "hidden",
+    [
+        '<g class="a st0">{}</g>',
+        '<g id="sketch">{}</g>',
+        '<g style="visibility: hidden">{}</g>',
+        '<g visibility="hidden">{}</g>',
+    ],
+)
+def test_what_an_svg_hides_by_a_rule_is_left_out(read, hidden):
+    rules = (
+        "<style>.st0{display:none;} /* .b */ #sketch, .st1 { display : none } .b{fill:red}</style>"
+    )
+    shown = '<polygon class="b" points="10,20 30,20 30,40 10,40"/>'
+    found = read(
+        "a.svg",
+        f"""<svg viewBox="0 0 640 480">{rules}{hidden.format('<rect width="9" height="9"/>')}
+        {shown}</svg>""",
+    )
+    (only,) = found.shapes
+    np.testing.assert_array_equal(only.rings[0], PIXELS)
+
+
+def test_a_rule_that_hides_part_of_a_layer_is_refused(read):
+    with pytest.raises(InputError, match=r"hides shapes by the rule g > \.b"):
+        read("a.svg", "<svg><style>g > .b{display:none}</style><rect width='9' height='9'/></svg>")
+
+
 GPX = """<gpx xmlns="http://www.topografix.com/GPX/1/1"><wpt lat="46" lon="9"><name>A</name></wpt>
 <trk><name>B</name><trkseg><trkpt lat="46" lon="9"/><trkpt lat="46.1" lon="9.1"/></trkseg>
 <trkseg><trkpt lat="47" lon="9"/><trkpt lat="47.1" lon="9.1"/></trkseg></trk></gpx>"""
