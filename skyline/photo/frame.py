@@ -29,6 +29,8 @@ class _Shapes:
     """The frame of a camera whose sensor is not known."""
     tolerance: float = 0.02
     """Largest relative difference of two shapes that are the same."""
+    blurred_px: float = 6.0
+    """Rows that `skyline.photo.borders` takes from a photo, as its borders have blurred them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,6 +87,21 @@ def frames_of(
         return noted, taken
     whole = _SHAPES.usual if sensor is None else sensor.shape
     return None, (whole, 1.0) if size_px[0] >= size_px[1] else (1.0, whole)
+
+
+def is_bordered(size_px: tuple[int, int], photo_px: tuple[int, int]) -> bool:
+    """Return whether a file's photo, and not the whole file, has the shape of a frame.
+
+    The file has a border or a caption, such as phones write below their photos.
+    """
+
+    def off(size: Size) -> float:
+        shape = max(size) / min(size)
+        return min(abs(shape / one - 1.0) for one in _SHAPES.of_cameras + _SHAPES.of_screens)
+
+    return photo_px != size_px and off(photo_px) <= off(size_px) + _SHAPES.blurred_px / min(
+        photo_px
+    )
 
 
 def cropped_width(size_px: tuple[int, int], frame: Size) -> float:

@@ -25,7 +25,15 @@ from math import atan, degrees, exp, hypot, log, radians, sin, sqrt
 from PIL.ExifTags import Base
 
 from skyline.camera import MIN_FOV_DEG, Projection
-from skyline.photo.frame import CROP, Size, cropped_width, frames_of, is_unscaled, is_whole
+from skyline.photo.frame import (
+    CROP,
+    Size,
+    cropped_width,
+    frames_of,
+    is_bordered,
+    is_unscaled,
+    is_whole,
+)
 from skyline.photo.panorama import panorama_of_xmp, swept_lens_of
 from skyline.photo.sensors import FULL_FRAME_MM, Sensor, sensor_of
 from skyline.photo.skyline import Lens
@@ -150,10 +158,16 @@ def _was_cropped(xmp: Xmp) -> bool:
     return all(noted.get(name, "").lower() == "true" for name in ("HasCrop", "AlreadyApplied"))
 
 
-def camera_of(tags: Tags, xmp: Xmp, size_px: tuple[int, int]) -> tuple[Projection, Lens]:
-    """Return the projection and the lens that a photo notes.
+def camera_of(
+    tags: Tags,
+    xmp: Xmp,
+    size_px: tuple[int, int],
+    photo_px: tuple[int, int] | None = None,
+) -> tuple[Projection, Lens]:
+    """Return the projection and the lens that a photo notes, of the whole file.
 
-    ``tags`` and ``size_px`` are as in `lens_of`.
+    ``tags`` and ``size_px`` are as in `lens_of`. ``photo_px`` is the size of the photo within any
+    borders of the file.
     """
     panorama = panorama_of_xmp(xmp, size_px)
     if panorama is not None:
@@ -161,7 +175,15 @@ def camera_of(tags: Tags, xmp: Xmp, size_px: tuple[int, int]) -> tuple[Projectio
     swept = swept_lens_of(tags, size_px)
     if swept is not None:
         return Projection.CYLINDRICAL, swept
-    return Projection.PERSPECTIVE, lens_of(tags, size_px, _was_cropped(xmp))
+    if photo_px is None or not is_bordered(size_px, photo_px):
+        return Projection.PERSPECTIVE, lens_of(tags, size_px, _was_cropped(xmp))
+    # Where the noted size is the file's, it is not of the camera's frame.
+    size = positive(tags.get(Base.ExifImageWidth)), positive(tags.get(Base.ExifImageHeight))
+    if size in (size_px, size_px[::-1]):
+        sizes = (Base.ExifImageWidth, Base.ExifImageHeight)
+        tags = {tag: value for tag, value in tags.items() if tag not in sizes}
+    lens = lens_of(tags, photo_px, _was_cropped(xmp))
+    return Projection.PERSPECTIVE, lens.beside_border(size_px[0] / photo_px[0])
 
 
 def lens_of(tags: Tags, size_px: tuple[int, int], is_cropped: bool = False) -> Lens:

@@ -12,6 +12,7 @@ from PIL.ExifTags import IFD, Base
 from skyline.arrays import ShortRepr, UInt8Array, refuse_text
 from skyline.camera import Projection
 from skyline.errors import InputError
+from skyline.photo.borders import content_of
 from skyline.photo.image import (
     Picture,
     made_smaller,
@@ -114,9 +115,9 @@ def read_photo(
         exif = image.getexif()
         xmp = xmp_of(image)
         tags = {**exif, **exif.get_ifd(IFD.Exif)}
-        noted_projection, lens = camera_of(tags, xmp, (width, height))
         noted = place_from_exif(exif.get_ifd(IFD.GPSInfo), xmp)
         rgb = rgb_of(upright)
+    noted_projection, lens = camera_of(tags, xmp, (width, height), _within_borders(rgb, width))
     if min(rgb.shape[:2]) < 2:
         raise InputError(f"{name} has {width} x {height} px; expected a photo or a sky mask")
     # Notes on a lens do not apply to a panorama or a fisheye, nor those on a panorama to a lens.
@@ -138,6 +139,22 @@ def read_photo(
 def _is_turned(image: Image.Image) -> bool:
     """Return whether EXIF turns or mirrors an image."""
     return image.getexif().get(Base.Orientation) in range(2, 9)
+
+
+def _within_borders(rgb: UInt8Array, width: int) -> tuple[int, int] | None:
+    """Return the size of the photo in a file of a width, which may be read smaller.
+
+    None for a picture that is no photo.
+    """
+    try:
+        content = content_of(rgb)
+    except InputError:
+        return None
+    scale = width / content.width_px
+    return (
+        round(scale * (content.right - content.left)),
+        round(scale * (content.bottom - content.top)),
+    )
 
 
 def _upright_size(full_px: tuple[int, int], upright: Image.Image) -> tuple[int, int]:

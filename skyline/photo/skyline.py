@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -40,6 +41,25 @@ class Lens:
     most_fov_deg: float | None = None
     reason: str = ""
     crop_share: float = 0.0
+
+    def beside_border(self, share: float) -> Lens:
+        """Return the lens of a file that is wider than its photo, by a factor."""
+        if self.fov_deg is None:
+            return self
+
+        def wide_deg(fov_deg: float) -> float:
+            return 2.0 * math.degrees(math.atan(share * math.tan(math.radians(fov_deg) / 2.0)))
+
+        fov_deg = wide_deg(self.fov_deg)
+        # Half the tangent's logarithm has the same error.
+        grown = math.sin(math.radians(fov_deg)) / math.sin(math.radians(self.fov_deg))
+        return replace(
+            self,
+            fov_deg=fov_deg,
+            fov_sd_deg=self.fov_sd_deg and grown * self.fov_sd_deg,
+            most_fov_deg=self.most_fov_deg and wide_deg(self.most_fov_deg),
+            reason=f"{self.reason}; the photo stands in a border",
+        )
 
     @property
     def in_words(self) -> str:

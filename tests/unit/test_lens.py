@@ -50,6 +50,29 @@ def test_a_panorama_of_a_phone_is_as_wide_as_its_height_says():
     assert swept_lens_of(tags | {Base.CustomRendered: 0}, (8000, 2500)) is None
 
 
+@pytest.mark.parametrize(
+    ("size", "photo", "widened"),
+    [
+        ((4000, 3400), (4000, 3000), 1.0),  # a caption below it
+        ((4000, 4000), (4000, 3000), 1.0),  # in a square
+        ((4400, 3300), (4000, 3000), 1.1),  # an even border
+        ((3000, 4450), (3000, 4000), 1.0),  # upright, with a caption: 3:2 by its file
+        ((4000, 3000), (4000, 2800), 1.0),  # a dark strip of a whole frame
+    ],
+)
+@pytest.mark.parametrize("is_noted_anew", [True, False])
+def test_a_border_leaves_a_photo_its_field_of_view(size, photo, widened, is_noted_anew):
+    """28 mm on a frame of 4:3 see 63.4 degrees, and 49.7 upright."""
+    width, height = size if is_noted_anew else (4000, 3000)
+    tags = {Base.FocalLengthIn35mmFilm: 28}
+    tags |= {Base.ExifImageWidth: width, Base.ExifImageHeight: height}
+    _, lens = camera_of(tags, Xmp(), size, photo)
+    half = np.tan(np.radians(63.44 if size[0] > 3000 else 49.7) / 2.0)
+    assert lens.fov_deg == pytest.approx(fov_of(widened * half, 1.0), abs=0.05)
+    assert lens.fov_sd_deg < 2.0
+    assert lens.most_fov_deg is None
+
+
 @pytest.mark.parametrize(("applied", "share"), [("True", 0.75), ("False", 1.0)])
 def test_a_crop_that_lightroom_notes_leaves_half_to_all_of_the_frame(applied, share):
     """28 mm on a frame of 4:3 see 63.4 degrees."""

@@ -31,6 +31,23 @@ def as_grey(scene):
     return np.asarray(Image.fromarray(scene.image).convert("L"))
 
 
+@pytest.mark.parametrize(("beside_px", "fov_deg"), [(0, 63.44), (40, 67.6)])
+def test_the_field_of_view_of_a_photo_in_a_border_is_of_the_whole_file(
+    tmp_path, beside_px, fov_deg
+):
+    """28 mm on a frame of 4:3 see 63.44 degrees in 960 columns, and 67.6 in 1040."""
+    photo = make_scene("clear", 3, 960, 720).image
+    framed = Image.new("RGB", (960 + 2 * beside_px, 760), "white")
+    framed.paste(Image.fromarray(photo), (beside_px, 0))
+    exif = Image.Exif()
+    exif.get_ifd(IFD.Exif)[Base.FocalLengthIn35mmFilm] = 28
+    framed.save(tmp_path / "framed.jpg", quality=95, exif=exif)
+    found = read_photo(tmp_path / "framed.jpg")
+    # The border has blurred 3 columns on either side.
+    assert found.fov_deg == pytest.approx(fov_deg, abs=0.5)
+    assert "in a border" in found.lens.reason
+
+
 VARIANTS = {
     "no_suffix": lambda scene: Image.fromarray(scene.image),
     "grey.jpg": lambda scene: Image.fromarray(as_grey(scene)),
