@@ -22,6 +22,9 @@ from skyline.terrain.resampling import Warp, ground_spacing_m, square_spacing_m
 if TYPE_CHECKING:
     from skyline.terrain.mosaic import Mosaic
 
+FINEST_M = 0.01
+"""Least spacing of samples: the finest models, of photos by drones, have a few centimetres."""
+
 FAR_DEG = 10.0
 """A DEM farther than this from the area of its CRS likely has the coordinates of another CRS."""
 
@@ -81,10 +84,12 @@ def metric_dem(mosaic: "Mosaic", options: DemOptions) -> MetricDem:
     rules = RepairRules() if is_of_earth(crs) else RepairRules(ground_m=(-ABSURD_M, ABSURD_M))
     if frame is not None:
         resampling = "none"
+        _check_spacing(mosaic, max(grid.step_east, grid.step_north))
         counts = repair(heights_m, mosaic.source, max(grid.step_east, grid.step_north), rules)
     else:
         frame = Frame.local(lon=float(in_turn(lon)), lat=lat, world=crs)
         ground_spacing = ground_spacing_m(grid, crs, frame)
+        _check_spacing(mosaic, max(ground_spacing))
         counts = repair(heights_m, mosaic.source, max(ground_spacing), rules)
         spacing_m = square_spacing_m(ground_spacing)
         resampling = (
@@ -103,6 +108,16 @@ def metric_dem(mosaic: "Mosaic", options: DemOptions) -> MetricDem:
     if source is None:
         return MetricDem(heights_m, grid, frame, provenance)
     return MetricDem(source.in_memory(), source.warp.target, frame, provenance, source)
+
+
+def _check_spacing(mosaic: "Mosaic", spacing_m: float) -> None:
+    """Raise `InputError` for samples so near that the map has another unit."""
+    if spacing_m < FINEST_M:
+        raise InputError(
+            f"{mosaic.source} has samples {1000.0 * spacing_m:.2g} mm apart in {mosaic.crs.name}; "
+            "its coordinates are of another unit, such as degrees: name the CRS that they are of "
+            "(--crs for files that name none, else gdal_edit.py -a_srs)"
+        )
 
 
 def _centre(mosaic: "Mosaic") -> tuple[float, float, str]:

@@ -164,6 +164,12 @@ class TestRasters:
                 None,
                 "all samples are nodata",
             ),
+            (
+                ONES,
+                {"crs": None, "transform": from_origin(9.8, 46.8, 0.0003, 0.0003)},
+                UTM,
+                "samples 0.3 mm apart in WGS 84 / UTM zone 32N",
+            ),
             (ONES.astype(np.complex64), {}, None, "expected real heights"),
             (ONES - 32000, {}, None, "beyond 30000 m"),
             (
@@ -441,6 +447,23 @@ class TestWarnings:
     def test_a_real_map_of_wrong_slopes(self, shared_data, caplog):
         read_dem(shared_data / "sierra" / "sierra_ansel_adams_30m_albers.tif")
         assert "slopes and directions are wrong by up to 1.11 degrees" in caplog.text
+
+    @pytest.mark.parametrize(
+        ("unit", "metres", "said"), [("", 1.0, ""), ("", 0.3048, "50 %"), ("ft", 0.3048, "")]
+    )
+    def test_heights_in_feet_that_name_no_unit(self, tmp_path, caplog, unit, metres, said):
+        # Ridges from north to south with slopes of 15 m in 30: 27 degrees, and 59 in feet.
+        across_m = 15.0 * np.abs(np.arange(200) % 40 - 20)
+        heights = np.tile(1000.0 + across_m, (200, 1)) / metres
+        read_dem(in_unit(tmp_path / "dem.tif", unit, heights.astype(np.float32)))
+        assert (f"{said} of the steps between its samples are steeper" in caplog.text) == bool(said)
+
+    @pytest.mark.parametrize(
+        "name", ["davos/davos_srtm1_30m.tif", "everest/mt_everest_90m.tif", "andes/S33W071.tif"]
+    )
+    def test_no_real_mountains_are_too_steep(self, shared_data, caplog, name):
+        read_dem(shared_data / name)
+        assert "steeper" not in caplog.text
 
     def test_a_map_whose_axes_point_south(self, tmp_path, caplog):
         corner = from_origin(-750_000.0, -1_040_000.0, 30.0, 30.0)
