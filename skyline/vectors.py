@@ -207,7 +207,7 @@ def _of_json(path: Path, photo: Path, in_pixels: bool) -> Vectors:
             return _of_coco(path, read, photo)
         if isinstance(read, dict) and "type" in read:
             return _of_geojson(path, read, in_pixels)
-    except (TypeError, ValueError, KeyError, AttributeError, IndexError) as error:
+    except (TypeError, ValueError, AttributeError, LookupError, OverflowError) as error:
         if isinstance(error, InputError):
             raise
         raise InputError(
@@ -439,6 +439,8 @@ def _of_svg(path: Path, root: Element) -> Vectors:
                 Shape(kind, (ring - corner - _CORNER,), where, about)
                 for kind, ring in _svg_rings(path, where, one)
             ]
+    if not np.isfinite([*size, *corner]).all():
+        raise InputError(f"{path} has a viewBox that is not finite; expected the photo's pixels")
     size_px = (round(size[0]), round(size[1])) if len(size) == 2 else None
     return Vectors(path, tuple(shapes), in_pixels=True, size_px=size_px)
 

@@ -72,7 +72,7 @@ def parse_crs(crs: object) -> CRS:
     """Return the CRS of anything that pyproj understands; raises `InputError` otherwise."""
     try:
         return CRS.from_user_input(crs)
-    except CRSError as error:
+    except (CRSError, UnicodeEncodeError) as error:
         raise InputError(
             f"coordinate reference system {crs!r} is not understood "
             f"({' '.join(str(error).split())}); give an EPSG code such as EPSG:32632 or WKT"
@@ -93,7 +93,7 @@ def crs_of_positions(path: object, named: Any) -> CRS:
     name = about.get("name", f"EPSG:{about['code']}" if "code" in about else None)
     try:
         crs = CRS.from_user_input(str(name))
-    except CRSError:
+    except (CRSError, UnicodeEncodeError):
         raise InputError(
             f"{path} names the CRS {printable(str(name or named))[:60]}, which is not known; write "
             "the coordinates in degrees (WGS 84)"

@@ -27,11 +27,11 @@ def number_of(value: object) -> float | None:
     A number that is not finite, such as the rational 0/0, does not count. EXIF has numbers and
     rationals, XMP has them as text.
     """
-    if isinstance(value, str) and (rational := _RATIONAL.fullmatch(value)):
-        return float(rational[1]) / float(rational[2])
+    rational = _RATIONAL.fullmatch(value) if isinstance(value, str) else None
+    above, below = rational.groups() if rational else (value, 1.0)
     try:
-        number = float(value)  # type: ignore[arg-type]
-    except (TypeError, ValueError, ZeroDivisionError):
+        number = float(above) / float(below)  # type: ignore[arg-type]
+    except (TypeError, ValueError, ZeroDivisionError, OverflowError):
         return None
     return number if isfinite(number) else None
 

@@ -193,7 +193,7 @@ def test_a_pose_that_points_do_not_fit_is_not_trusted():
 @pytest.fixture
 def read(tmp_path):
     def read_as(name, text):
-        (tmp_path / name).write_text(text)
+        (tmp_path / name).write_text(text, errors="surrogateescape")
         return read_control_points(tmp_path / name)
 
     return read_as
@@ -263,6 +263,7 @@ def test_points_are_read_as_they_are_written(tmp_path, suffix):
         ("p.points", "#CRS: EPSG:5773\nmapX,mapY,sourceX,sourceY\n9,46,1,-2\n"),
         ("p.points", "#CRS: IAU_2015:30100\nmapX,mapY,sourceX,sourceY\n9,46,1,-2\n"),
         ("p.points", "#CRS: nowhere\nmapX,mapY,sourceX,sourceY,enable\n9,46,1,-2,1\n"),
+        ("p.points", "#CRS: EPSG\udcff\nmapX,mapY,sourceX,sourceY,enable\n9,46,1,-2,1\n"),
         ("p.txt", "column_px,row_px,lon,lat\n1,2,9,46\n"),
     ],
 )

@@ -155,6 +155,7 @@ class TestRasters:
             (ONES, {"crs": None}, None, "--crs"),
             (ONES, {"crs": None}, "EPSG:99999", "not understood"),
             (ONES, {"crs": None}, "rubbish", "not understood"),
+            (ONES, {"crs": None}, "\udcff", "not understood"),
             (ONES, {"transform": Affine.identity()}, None, "no georeference"),
             (ONES, {"crs": "EPSG:4978"}, None, "Geocentric"),
             (ONES, {"transform": Affine(30.0, 5.0, 0.0, 5.0, -30.0, 0.0)}, None, "gdalwarp"),

@@ -16,7 +16,9 @@ def test_a_number_is_the_same_in_every_form(half):
     assert number_of(half) == 0.5
 
 
-@pytest.mark.parametrize("value", [None, "", "high", "1,5", (1, 2), "nan", IFDRational(0, 0)])
+@pytest.mark.parametrize(
+    "value", [None, "", "high", "1,5", (1, 2), "nan", IFDRational(0, 0), 10**400, "9" * 400 + "/1"]
+)
 def test_what_is_no_number_is_none(value):
     assert number_of(value) is None
     assert positive(value) is None
