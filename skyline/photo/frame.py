@@ -10,7 +10,7 @@ from math import sqrt
 
 from PIL.ExifTags import Base
 
-from skyline.photo.sensors import Sensor
+from skyline.photo.sensors import Sensor, cropped_diagonal
 from skyline.photo.tags import Tags, positive
 
 Size = tuple[float, float]
@@ -25,8 +25,8 @@ class _Shapes:
     """The frames that cameras take."""
     of_screens: tuple[float, ...] = (2.0, 37 / 18, 19 / 9, 13 / 6, 20 / 9)
     """The screens for which phones take photos."""
-    usual: float = 4 / 3
-    """The frame of a camera whose sensor is not known."""
+    of_sensors: tuple[float, ...] = (4 / 3, 3 / 2)
+    """Sensors, the usual one first: the frame of a camera whose sensor is not known."""
     tolerance: float = 0.02
     """Largest relative difference of two shapes that are the same."""
     blurred_px: float = 6.0
@@ -85,8 +85,22 @@ def frames_of(
     shape = max(taken) / min(taken)
     if any(abs(shape / one - 1.0) <= _SHAPES.tolerance for one in possible):
         return noted, taken
-    whole = _SHAPES.usual if sensor is None else sensor.shape
+    whole = _SHAPES.of_sensors[0] if sensor is None else sensor.shape
     return None, (whole, 1.0) if size_px[0] >= size_px[1] else (1.0, whole)
+
+
+def frame_diagonal(frame: Size, sensor: Sensor | None) -> float:
+    """Return the diagonal of a frame over the diagonal of the sensor that took it.
+
+    It is below 1 for a frame of another shape, such as 16:9 or a square, which has all columns or
+    all rows of the sensor. A sensor that is not known has the frame's shape if any sensor has, and
+    else the usual one.
+    """
+    shape = max(frame) / min(frame)
+    shapes = _SHAPES.of_sensors if sensor is None else (sensor.shape,)
+    if any(abs(shape / one - 1.0) <= _SHAPES.tolerance for one in shapes):
+        return 1.0
+    return cropped_diagonal(shapes[0], shape)
 
 
 def is_bordered(size_px: tuple[int, int], photo_px: tuple[int, int]) -> bool:

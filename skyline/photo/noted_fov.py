@@ -9,6 +9,11 @@ A digital zoom enlarges the middle of the frame. Apple's phones include it in th
 (Hugin's bug 2064625). Other phones (the same bug) and Olympus (Focus-Points' issue 253) do not. So
 a value has two readings, and where no other source says which one is right, both are possible.
 
+A photo of 16:9, of the shape of a screen or of a square is cut from a sensor of 4:3 or 3:2. The
+equivalent may compare the sensor's diagonal: a Galaxy S10's photo of 16:9 at a known place fits at
+36.9 degrees, which 52 mm are on the sensor's diagonal; on the photo's they are 39.9. Or it may
+compare the photo's: Apple computes it from the pixels (developer.apple.com/forums, thread 745938).
+
 A crop mode reads the middle of the sensor. Nikon includes it in the equivalent (Focus-Points' issue
 252), Canon only in the focal plane. So a photo shows at most the whole sensor of its camera.
 
@@ -29,6 +34,7 @@ from skyline.photo.frame import (
     CROP,
     Size,
     cropped_width,
+    frame_diagonal,
     frames_of,
     is_bordered,
     is_unscaled,
@@ -138,7 +144,8 @@ class _FocalLength:
 
 
 _Source = tuple[_FocalLength, ...]
-"""The readings of a source: two if it may include a digital zoom or not."""
+"""The readings of a source: several if it may include a digital zoom or not, or if it may compare
+the photo's diagonal or the sensor's."""
 
 
 def _fov_deg(width: float, diagonals: float) -> float:
@@ -196,7 +203,8 @@ def lens_of(tags: Tags, size_px: tuple[int, int], is_cropped: bool = False) -> L
     sensor = sensor_of(text_of(tags, Base.Model))
     noted, frame = frames_of(tags, size_px, sensor)
     known = _on_sensor(tags, frame, sensor)
-    sources, against = _focal_lengths(tags, size_px, noted, known)
+    of_sensor = frame_diagonal(frame, sensor)
+    sources, against = _focal_lengths(tags, size_px, noted, known, of_sensor)
     if not sources and known is None:
         return Lens(reason="; ".join(against))
     focal = _combined(sources, known)
@@ -250,10 +258,12 @@ def _focal_lengths(
     size_px: tuple[int, int],
     noted: Size | None,
     known: _FocalLength | None,
+    of_sensor: float,
 ) -> tuple[list[_Source], list[str]]:
     """Return the focal lengths in EXIF, and reasons against those left aside.
 
-    ``noted`` is the frame whose size the camera noted, ``known`` the focal length on the sensor.
+    ``noted`` is the frame whose size the camera noted, ``known`` the focal length on the sensor,
+    ``of_sensor`` the frame's diagonal over the sensor's.
     """
     equivalent_mm = positive(tags.get(Base.FocalLengthIn35mmFilm))
     focal_mm = positive(tags.get(Base.FocalLength))
@@ -263,7 +273,12 @@ def _focal_lengths(
     if equivalent_mm is not None:
         diagonals = equivalent_mm / FULL_FRAME_MM
         sd = hypot(NOMINAL_SD, _ROUNDED_MM / equivalent_mm)
-        film = _readings(_FocalLength("35 mm equivalent", diagonals, sd), zoom, focal_mm)
+        noted_film = _FocalLength("35 mm equivalent", diagonals, sd)
+        film = tuple(
+            reading
+            for one in _of_frame_or_sensor(noted_film, of_sensor)
+            for reading in _readings(one, zoom, focal_mm)
+        )
         if not film:
             against.append(f"EXIF's 35 mm equivalent of {equivalent_mm:g} mm fits no lens")
     across = _pixels_per_mm(tags)
@@ -284,6 +299,20 @@ def _focal_lengths(
     else:
         return [source for source in (film, plane) if source], against
     return [film] if film else [], against
+
+
+def _of_frame_or_sensor(noted: _FocalLength, of_sensor: float) -> _Source:
+    """Return what an equivalent may mean if a frame is cut from another shape.
+
+    The diagonal that it compares may be the frame's or the sensor's.
+    """
+    if of_sensor == 1.0:
+        return (noted,)
+    source = f"{noted.source} (by the photo's diagonal or the sensor's)"
+    return tuple(
+        replace(noted, source=source, diagonals=noted.diagonals / share)
+        for share in (1.0, of_sensor)
+    )
 
 
 def _readings(noted: _FocalLength, zoom: float, focal_mm: float | None) -> _Source:

@@ -41,9 +41,15 @@ class Sensor:
 
     def cropped_mm(self, frame: tuple[float, float]) -> float:
         """Return the diagonal of the largest part of a frame's shape."""
-        kept = max(frame) / min(frame)
-        height_mm = self.diagonal_mm / hypot(self.shape, 1.0) * min(self.shape / kept, 1.0)
-        return height_mm * hypot(kept, 1.0)
+        return self.diagonal_mm * cropped_diagonal(self.shape, max(frame) / min(frame))
+
+
+def cropped_diagonal(shape: float, kept: float) -> float:
+    """Return the diagonal of the largest part of a shape, over the whole diagonal.
+
+    Shapes are widths over heights.
+    """
+    return min(shape / kept, 1.0) * hypot(kept, 1.0) / hypot(shape, 1.0)
 
 
 def sensor_of(model: str) -> Sensor | None:

@@ -95,8 +95,9 @@ def test_crops_are_searched_wide(camera, across, down, is_noted_anew):
 ZOOMED = [
     # Hugin's bug 2064625: the equivalent has the zoom in it.
     ("iPhone SE (3rd generation)", (4032, 3024), 3.99, 55, 1.951, None, 34.9),
-    # A Galaxy's second camera, twice as long as the first, which it notes as a zoom.
-    ("SM-G973U", (4032, 2268), 6.0, 52, 2, None, 39.9),
+    # A Galaxy's second camera, twice as long as the first, which it notes as a zoom. The sensor is
+    # of 4:3, and the equivalent of its diagonal.
+    ("SM-G973U", (4032, 2268), 6.0, 52, 2, None, 36.8),
     # The same bug: "For images from other phones this line was needed."
     ("SM-A202F", (4128, 3096), 3.6, 27, 2, None, 35.5),
     # photo.stackexchange.com/questions/117162: the 35 mm equivalent is not noted.
@@ -147,6 +148,39 @@ def test_zoomed_and_cropped_frames_are_within_what_is_searched(camera, is_uprigh
     rays = Rays(u=np.zeros(1), v=np.zeros(1), weight=np.ones(1), fov_deg=found.fov_deg)
     low_deg, high_deg = rays.about(sd_deg, found.most_fov_deg or math.inf).fov_bounds_deg
     assert low_deg < true_deg < high_deg
+
+
+@pytest.mark.parametrize(
+    ("size", "frame_deg", "sensor_deg"),
+    [
+        # 26 mm compare 43.27 mm with the diagonal of the photo, or of a sensor of 4:3 that is as
+        # wide as a photo of 16:9, and as high as a square.
+        ((4032, 2268), 71.9, 67.3),
+        ((2268, 4032), 44.4, 41.1),
+        ((3024, 3024), 60.9, 53.1),
+    ],
+)
+def test_an_equivalent_is_of_the_diagonal_of_the_photo_or_of_the_sensor(
+    size, frame_deg, sensor_deg
+):
+    tags = {
+        Base.FocalLengthIn35mmFilm: 26, Base.ExifImageWidth: size[0], Base.ExifImageHeight: size[1],
+    }  # fmt: skip
+    found = lens_of(tags, size)
+    assert f"{frame_deg} or {sensor_deg} degrees" in found.reason
+    for possible_deg in (frame_deg, sensor_deg):
+        assert abs(possible_deg - found.fov_deg) <= 1.1 * found.fov_sd_deg
+
+
+def test_the_focal_length_on_a_sensor_says_whose_diagonal_an_equivalent_compares():
+    # 10.4 mm on a sensor 13.2 mm wide, whose columns a photo of 16:9 has all: 64.8 degrees.
+    tags = {
+        Base.Model: "DSC-RX100", Base.FocalLength: 10.4, Base.FocalLengthIn35mmFilm: 28,
+        Base.ExifImageWidth: 5472, Base.ExifImageHeight: 3080,
+    }  # fmt: skip
+    found = lens_of(tags, (5472, 3080))
+    assert found.fov_deg == pytest.approx(64.8, rel=0.01)
+    assert found.fov_sd_deg is None
 
 
 @pytest.mark.parametrize("model", ["E-M5", "Canon PowerShot SX50 HS", "ILCE-7M2", "DSC-HX20V"])
