@@ -25,8 +25,8 @@ from .match.areas import MatchedArea as MatchedArea
 from .match.config import MatchConfig as MatchConfig
 from .match.joint_result import JointResult as JointResult
 from .match.matcher import Matcher as Matcher
+from .match.narrowing import Narrowing as Narrowing
 from .match.posterior import Posterior as Posterior
-from .match.prior import Narrowing as Narrowing
 from .match.result import MatchResult as MatchResult
 from .match.result import to_dataframe as to_dataframe
 from .match.result import to_geodataframe as to_geodataframe

@@ -20,7 +20,7 @@ from skyline.errors import InputError, SkylineError
 from skyline.files import REPORT_PAGE, STANDARD, is_own_page, read_bytes, version_of
 from skyline.match.config import MatchConfig
 from skyline.match.matcher import Matcher
-from skyline.match.prior import Narrowing
+from skyline.match.narrowing import Narrowing
 from skyline.match.result import MatchResult
 from skyline.photo.image import opened_image, photos_in
 from skyline.photo.photo import check_fov, read_noted_time

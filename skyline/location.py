@@ -12,7 +12,7 @@ from skyline.errors import InputError
 from skyline.geodesy.bounds import Bounds, Circle
 from skyline.geodesy.map_frame import Frame
 from skyline.match.matcher import Matcher
-from skyline.match.prior import NOTED_KM, Narrowing
+from skyline.match.narrowing import NOTED_KM, Narrowing
 from skyline.match.result import MatchResult
 from skyline.photo.image import Picture, name_of
 from skyline.photo.photo import read_noted_place

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from skyline.errors import printable
 from skyline.geodesy.bounds import in_turn
-from skyline.match.prior import noted_heading_sd_deg
+from skyline.match.noted_errors import noted_heading_sd_deg
 from skyline.match.result import NORTHS, to_dataframe
 from skyline.photo.skyline import PhotoSkyline
 from skyline.pose import Pose

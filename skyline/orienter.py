@@ -6,7 +6,7 @@ retrieval fits poses to the places of a store. The best poses are then refined b
 the known place as a prior, so the eye may move.
 
 Most eyes stand on the ground. Where a photo notes a height far above it, poses are fitted from
-there as well (`skyline.match.prior.Standing`), and the costs of both tell which is right.
+there as well (`skyline.match.eye_prior.Standing`), and the costs of both tell which is right.
 
 An orientation is trusted where the skylines fit, no other heading fits nearly as well, and the
 fit leaves little doubt about the heading. The weights of these three were learned like the
@@ -29,16 +29,12 @@ from skyline.errors import InputError, printable
 from skyline.geodesy.bounds import in_turn
 from skyline.match import confidence
 from skyline.match.config import MatchConfig
+from skyline.match.eye_prior import EyeHeightPrior, KnownGround, Standing
+from skyline.match.narrowing import Narrowing
+from skyline.match.noted_errors import noted_position_sd_m
 from skyline.match.other_projection import find_other_projection
-from skyline.match.prior import (
-    EyeHeightPrior,
-    KnownGround,
-    Narrowing,
-    PlacePrior,
-    Prior,
-    Standing,
-    noted_position_sd_m,
-)
+from skyline.match.position_prior import PositionPrior
+from skyline.match.prior import Prior
 from skyline.match.rays import Rays
 from skyline.match.refine import VIEW_WIDTH, Effort, Particles, Refinement
 from skyline.match.retrieval import Retriever
@@ -320,9 +316,9 @@ class Orienter(Closeable):
         """Return the refinement of a photo's rays, with its prior."""
         return _RefinementByHeading(rays, self._scene, _EFFORT, prior, standing.eye)
 
-    def _known(self, noted: NotedPlace, standing: Standing) -> PlacePrior:
+    def _known(self, noted: NotedPlace, standing: Standing) -> PositionPrior:
         """Return the known place and the photo's compass direction as a prior."""
-        known = PlacePrior(
+        known = PositionPrior(
             self._east,
             self._north,
             self._position_sd_m,

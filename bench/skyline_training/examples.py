@@ -26,7 +26,9 @@ from skyline.errors import InputError
 from skyline.geodesy.bounds import in_turn
 from skyline.geodesy.map_frame import Rectangle
 from skyline.match import confidence
-from skyline.match.prior import GPS_SD_M, NOTHING_KNOWN, PlacePrior, Prior
+from skyline.match.noted_errors import NOTED_ERRORS
+from skyline.match.position_prior import PositionPrior
+from skyline.match.prior import NOTHING_KNOWN, Prior
 from skyline.match.search import FullMatcher
 from skyline.photo.extract import extract_skyline
 from skyline.photo.frame import CROP
@@ -212,7 +214,7 @@ def _noted(
         easting_m, northing_m = query.truth.easting_m + off_m[0], query.truth.northing_m + off_m[1]
         if rng.random() < _NOTED_WRONG_SHARE:
             easting_m, northing_m = rng.uniform(west, east), rng.uniform(south, north)
-        place = PlacePrior(float(easting_m), float(northing_m), GPS_SD_M)
+        place = PositionPrior(float(easting_m), float(northing_m), NOTED_ERRORS.gps_sd_m)
         pairs.append((query, Prior(noted=place)))
     return pairs
 

@@ -18,7 +18,7 @@ from skyline.errors import SkylineError
 from skyline.geodesy.bounds import in_turn
 from skyline.match import confidence
 from skyline.match.confidence import ORIENTED, Logistic
-from skyline.match.prior import Narrowing
+from skyline.match.narrowing import Narrowing
 from skyline.orientation import LEAST_CONFIDENCE, RIGHT_DEG
 from skyline.orienter import KnownPosition, orienters
 from skyline.progress import Progress

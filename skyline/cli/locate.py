@@ -26,7 +26,7 @@ from skyline.cli.photo_options import (
     heading_of,
 )
 from skyline.cli.terminal import Terminal
-from skyline.match.prior import NOTED_KM
+from skyline.match.narrowing import NOTED_KM
 from skyline.tasks.locate import locate_photos
 from skyline.tasks.match import MatchTask
 

@@ -12,7 +12,7 @@ from skyline.camera import Pixel, Projection
 from skyline.cli.options import PEAKS_VARIABLE, bounds_option, panel, parse_bounds
 from skyline.errors import InputError, numbers_in
 from skyline.geodesy.bounds import Circle
-from skyline.match.prior import NOTED_KM, Narrowing
+from skyline.match.narrowing import NOTED_KM, Narrowing
 from skyline.peaks import find_place
 from skyline.report.exports import EXPORTS
 from skyline.report.posterior_files import POSTERIOR_FILES

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from skyline.errors import printable
-from skyline.match.prior import Narrowing
+from skyline.match.narrowing import Narrowing
 from skyline.match.result import (
     MatchResult,
     confidence_within,

@@ -25,8 +25,9 @@ from skyline.match.config import MatchConfig
 from skyline.match.contours import weighed_by_contours
 from skyline.match.joint_result import JointResult
 from skyline.match.method import MATCHERS, SearchMethod
+from skyline.match.narrowing import Narrowing
 from skyline.match.posterior import Findings, Posterior, grid_around, posterior_of
-from skyline.match.prior import NOTHING_KNOWN, Narrowing, Prior
+from skyline.match.prior import NOTHING_KNOWN, Prior
 from skyline.match.rays import Rays
 from skyline.match.refine import VIEW_WIDTH
 from skyline.match.result import TOP, MatchResult

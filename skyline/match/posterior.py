@@ -27,7 +27,7 @@ the areas a that they represent:
     (1 - f) \sum_i \frac{a_i e^{b z_i}}{\sum a\, e^{b z}} N(x; x_i, t^2 + a_i / 4)
 
 The settings of `Spread` are learned. Where a photo notes its place, both sums are also weighted
-by the density of `skyline.match.prior`.
+by the density of `skyline.match.position_prior`.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ from skyline.cf import METRES
 from skyline.errors import InputError, library
 from skyline.geodesy.cell_grid import CellGrid
 from skyline.geodesy.map_frame import Frame
-from skyline.match.prior import PlacePrior
+from skyline.match.position_prior import PositionPrior
 from skyline.pose import RIGHT_WITHIN_M, ROUGHLY_WITHIN_M, Pose, Poses
 
 if TYPE_CHECKING:
@@ -128,14 +128,14 @@ class Findings:
         Poses that fit without rendering.
     places : AlikePlaces
         The places that were searched, one or more.
-    noted : PlacePrior or None
+    noted : PositionPrior or None
         The place that the photo notes. Candidates' confidences already allow for it.
     """
 
     candidates: Sequence[Pose]
     fitted: Poses
     places: AlikePlaces
-    noted: PlacePrior | None = None
+    noted: PositionPrior | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -340,7 +340,7 @@ def candidate_spots(candidates: Sequence[Pose]) -> tuple[Spots, float, float]:
     return Spots(place[:, 0], place[:, 1], covariance_m2, share), roughly, left
 
 
-def _log_prior(at: Poses | AlikePlaces, noted: PlacePrior | None) -> Float64Array:
+def _log_prior(at: Poses | AlikePlaces, noted: PositionPrior | None) -> Float64Array:
     """Return the log density (N,) of places by the noted place, unnormalized."""
     none = np.zeros(len(at))
     if noted is None:

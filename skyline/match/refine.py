@@ -22,7 +22,8 @@ import numpy as np
 
 from skyline.arrays import BoolArray, Complex128Array, Float64Array, IntArray, Rows
 from skyline.geodesy.bounds import in_turn
-from skyline.match.prior import NOTHING_KNOWN, EyeHeightPrior, Prior
+from skyline.match.eye_prior import EyeHeightPrior
+from skyline.match.prior import NOTHING_KNOWN, Prior
 from skyline.match.rays import Rays
 from skyline.match.solver import (
     EYE_HEIGHT,

@@ -13,7 +13,7 @@ from skyline.errors import InputError, library, printable
 from skyline.geodesy.bounds import distance_in_words, in_turn
 from skyline.geodesy.crs import WGS84
 from skyline.geodesy.map_frame import geodesic_m
-from skyline.match.prior import Narrowing
+from skyline.match.narrowing import Narrowing
 from skyline.photo.noted_place import NOTHING_NOTED
 from skyline.photo.skyline import PhotoSkyline
 from skyline.pose import COLUMNS, ROUGHLY_WITHIN_M, WRITTEN, Pose

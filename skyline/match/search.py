@@ -14,9 +14,10 @@ from skyline.errors import InputError
 from skyline.geodesy.map_frame import Frame
 from skyline.match import confidence
 from skyline.match.method import BY_RENDERING, SearchMethod
+from skyline.match.narrowing import Narrowing
 from skyline.match.other_projection import OtherProjection, find_other_projection
 from skyline.match.posterior import AlikePlaces
-from skyline.match.prior import Narrowing, Prior
+from skyline.match.prior import Prior
 from skyline.match.rays import Rays
 from skyline.match.refine import QUICK, WHOLE, Effort, Refinement, best_of_several
 from skyline.match.retrieval import Retriever

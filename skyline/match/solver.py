@@ -21,13 +21,14 @@ import numpy as np
 
 from skyline.arrays import Complex128Array, Float64Array, IntArray, Rows
 from skyline.camera import MOST_DISTORTION
+from skyline.match.eye_prior import EyeHeightPrior
 from skyline.match.likelihood import (
     HeightErrors,
     Likelihood,
     density_without_terrain,
     likelihood,
 )
-from skyline.match.prior import EyeHeightPrior, PlacePrior
+from skyline.match.position_prior import PositionPrior
 from skyline.match.rays import Rays, thinned
 from skyline.pose import Poses
 from skyline.pose_errors import ASSUMED, EAST, HEADING, LOG_SCALE, NORTH, PITCH, ROLL, UP, WARP
@@ -237,7 +238,7 @@ class Solver:
         mode: SolverMode,
         eye: EyeHeightPrior,
         height_sd_m: float,
-        noted: PlacePrior | None = None,
+        noted: PositionPrior | None = None,
         edge: DataEdge | None = None,
     ) -> None:
         self.rays = thinned(rays, mode.bins)

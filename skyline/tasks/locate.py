@@ -13,7 +13,7 @@ from skyline.batch import Entry, usable_entries
 from skyline.cache import cached_files, prepare_area
 from skyline.errors import InputError, MissingFileError
 from skyline.location import area_of
-from skyline.match.prior import Narrowing
+from skyline.match.narrowing import Narrowing
 from skyline.tasks.listener import Listener
 from skyline.tasks.match import MatchTask, match_photos
 

@@ -8,7 +8,8 @@ from ray_scenes import photographed_from, poses, rays_of
 from scenes import field_of, fractal
 
 from skyline.camera import distorted
-from skyline.match.prior import Narrowing, Prior
+from skyline.match.narrowing import Narrowing
+from skyline.match.prior import Prior
 from skyline.match.refine import WHOLE, Refinement
 from skyline.match.solver import Curves
 from skyline.match.together import JointRefinement

@@ -16,7 +16,7 @@ from skyline import Correction, NotedPlace, NotedPose, Photo, Viewer
 from skyline.camera import Projection
 from skyline.errors import InputError, MissingFileError, OffMapError
 from skyline.match.areas import paths_of
-from skyline.match.prior import Narrowing
+from skyline.match.narrowing import Narrowing
 from skyline.photo.extract import extract_skyline
 from skyline.photo.image import SizeLimits, opened_image, photos_in, shrink_if_large
 from skyline.photo.overlay import write_overlay

@@ -14,8 +14,9 @@ from scenes import FRAME, candidate_at
 
 from skyline import Frame, InputError, Narrowing
 from skyline.geodesy.cell_grid import CellGrid
+from skyline.match.position_prior import PositionPrior
 from skyline.match.posterior import SHARES, SPREAD, AlikePlaces, Findings, Posterior, posterior_of
-from skyline.match.prior import NOTHING_KNOWN, PlacePrior, Prior
+from skyline.match.prior import NOTHING_KNOWN, Prior
 from skyline.match.retrieval import Retriever
 from skyline.match.shard import LocalShard
 from skyline.pose import Ellipse, Poses
@@ -101,7 +102,7 @@ def test_fitted_poses_share_what_no_candidate_has():
 
 
 def test_places_near_the_one_that_a_photo_notes_are_preferred():
-    noted = PlacePrior(3000.0, 1000.0, 30.0)
+    noted = PositionPrior(3000.0, 1000.0, 30.0)
     posterior = posterior_of(Findings([], NO_FITS, grid_of_places(), noted), FRAME)
     # Its error exceeds 600 m in 5 % of photos, and in 5 % it is the place of another photo.
     assert within(posterior, 3000.0, 1000.0, 600.0) > 0.9

@@ -1,4 +1,4 @@
-"""The place that a photo notes as a prior: its density and its pull."""
+"""Priors of a photo's pose: noted positions, and how high eyes stand."""
 
 from dataclasses import replace
 
@@ -7,11 +7,13 @@ import pytest
 from ray_scenes import hills, panorama_of, poses, rays_of, seen
 from scipy.integrate import quad
 
-from skyline.match.prior import EyeHeightPrior, KnownGround, Narrowing, PlacePrior, Standing
+from skyline.match.eye_prior import EyeHeightPrior, KnownGround, Standing
+from skyline.match.narrowing import Narrowing
+from skyline.match.position_prior import PositionPrior
 from skyline.match.solver import FINE, Curves, Solver
 from skyline.photo.noted_place import NotedPlace
 
-NOTED = PlacePrior(1000.0, 2000.0, 25.0)
+NOTED = PositionPrior(1000.0, 2000.0, 25.0)
 THERE = np.array([1000.0 + 2000.0j])
 NORTH = SEA = np.zeros(1)
 

@@ -13,7 +13,8 @@ from ray_scenes import equally_trusted, swept
 
 from skyline.errors import InputError
 from skyline.match.lens_prior import LensPrior
-from skyline.match.prior import NOTHING_KNOWN, Narrowing, Prior
+from skyline.match.narrowing import Narrowing
+from skyline.match.prior import NOTHING_KNOWN, Prior
 from skyline.match.retrieval import Retriever
 from skyline.match.shard import LocalShard
 

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from skyline.geodesy.map_frame import Frame
-from skyline.match.prior import Narrowing, Prior
+from skyline.match.narrowing import Narrowing
+from skyline.match.prior import Prior
 from skyline.photo.noted_place import NotedPlace
 from skyline.pose import Poses
 

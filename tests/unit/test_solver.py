@@ -8,8 +8,8 @@ from ray_scenes import hills, panorama_of, poses, rays_of, seen, swept
 
 from skyline.camera import Projection, distorted, wander_of
 from skyline.geodesy.earth import Curvature
+from skyline.match.eye_prior import EyeHeightPrior
 from skyline.match.lens_prior import LensPrior
-from skyline.match.prior import EyeHeightPrior
 from skyline.match.rays import Rays
 from skyline.match.solver import FINE, Curves, Solver, SolverMode
 from skyline.pose_errors import HEADING, PITCH
