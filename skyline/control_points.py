@@ -331,10 +331,7 @@ class _Fit:
 
     def toward(self, state: Float64Array) -> tuple[Float64Array, Float64Array, Float64Array]:
         """Return azimuths, tangents and distances of the points from a state's eye."""
-        east_m, north_m, up_m = (self.place_m - state[: UP + 1]).T
-        away_m = np.maximum(np.hypot(east_m, north_m), 1.0)
-        tan = (up_m - self.viewer.curvature.drop_m(away_m)) / away_m
-        return np.arctan2(east_m, north_m), tan, away_m
+        return self.viewer.curvature.seen(*(self.place_m - state[: UP + 1]).T)
 
     def linear(self, state: Float64Array) -> tuple[Float64Array, Float64Array, Float64Array]:
         """Return misses in pixels, their derivatives and their covariances.
@@ -344,26 +341,20 @@ class _Fit:
         """
         column, row = self.points.column_px, self.points.row_px
         seen = Bearings.of(self.camera(state), column, row, len(state))
-        azimuth, tan, away_m = self.toward(state)
+        azimuth, tan, _ = toward = self.toward(state)
         turn_deg = in_turn(seen.grid_azimuth_deg - np.degrees(azimuth))
         off = np.stack([np.radians(turn_deg), seen.elevation_tan - tan], axis=1)
-        sine, cosine = np.sin(azimuth), np.cos(azimuth)
-        # The point's own direction, as the eye moves.
-        moved = np.zeros((len(column), 2, UP + 1))
-        moved[:, 0, EAST] = -cosine / away_m
-        moved[:, 0, NORTH] = sine / away_m
-        moved[:, 1, EAST] = tan * sine / away_m
-        moved[:, 1, NORTH] = tan * cosine / away_m
-        moved[:, 1, UP] = -1.0 / away_m
+        by_place = self.viewer.curvature.seen_changes(*toward)
+        # The point's own direction changes as the eye moves the other way.
         changes = seen.by_pose.copy()
-        changes[:, :, : UP + 1] -= moved
+        changes[:, :, : UP + 1] += by_place
         to_px = np.linalg.inv(seen.by_pixel)
         level_m2, up_m2 = (self.place_sd_m**2).T
         place = np.concatenate(
-            [moved[..., :2] * level_m2[:, None, None], moved[..., 2:] * up_m2[:, None, None]],
+            [by_place[..., :2] * level_m2[:, None, None], by_place[..., 2:] * up_m2[:, None, None]],
             axis=2,
         )
-        spread = to_px @ (place @ moved.swapaxes(1, 2)) @ to_px.swapaxes(1, 2)
+        spread = to_px @ (place @ by_place.swapaxes(1, 2)) @ to_px.swapaxes(1, 2)
         spread += self.errors.pixel_sd_px**2 * np.eye(2)
         return (to_px @ off[..., np.newaxis])[..., 0], to_px @ changes, spread
 

@@ -181,19 +181,10 @@ class _Seen:
         The second result (2, 3) has the derivatives of that direction by the place. Azimuths are in
         radians, elevations are tangents.
         """
-        east, north, up = place_m - self.eye_m
-        away = np.hypot(east, north)
-        tangent = (up - float(curvature.drop_m(away))) / away
-        turn = math.remainder(self.azimuth_rad - math.atan2(east, north), 2.0 * math.pi)
-        # The tangent's slope by distance, the drop included.
-        by_away = -tangent / away - 2.0 * curvature.drop_per_m2
-        slopes = np.array(
-            [
-                [north / away**2, -east / away**2, 0.0],
-                [by_away * east / away, by_away * north / away, 1.0 / away],
-            ]
-        )
-        return np.array([turn, self.elevation_tan - tangent]), slopes
+        azimuth, tangent, _ = seen = curvature.seen(*(place_m - self.eye_m))
+        turn = math.remainder(self.azimuth_rad - float(azimuth), 2.0 * math.pi)
+        off = np.array([turn, self.elevation_tan - float(tangent)])
+        return off, curvature.seen_changes(*seen)
 
 
 def _fit(

@@ -237,13 +237,12 @@ class GroundView:
         Ground hides what lies ``hides_m`` behind it, or farther; by default two samples of the
         model.
         """
-        east_m, north_m = easting_m - self.eye.easting_m, northing_m - self.eye.northing_m
-        away_m = np.hypot(east_m, north_m)
         ground_m = self.terrain.height_at(easting_m=easting_m, northing_m=northing_m)
-        up_m = ground_m - self.eye.eye_elevation_m - self.curvature.drop_m(away_m)
-        azimuth = np.arctan2(east_m, north_m)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            tan = up_m / away_m
+        azimuth, tan, away_m = self.curvature.seen(
+            easting_m - self.eye.easting_m,
+            northing_m - self.eye.northing_m,
+            ground_m - self.eye.eye_elevation_m,
+        )
         column_px, row_px = self.camera.pixels(np.degrees(azimuth), tan)
         is_seen = np.abs(column_px - self.camera.width_px / 2.0) <= self.camera.width_px
         is_seen &= np.abs(row_px - self.camera.height_px / 2.0) <= self.camera.height_px

@@ -113,10 +113,11 @@ def aimed_at(
             aimed.append(None)
             continue
         easting_m, northing_m, surface_m = summit
-        east_m = easting_m - float(eye.easting_m[0])
-        north_m = northing_m - float(eye.northing_m[0])
-        distance_m = math.hypot(east_m, north_m)
-        up_m = surface_m - float(eye.eye_elevation_m[0]) - float(curvature.drop_m(distance_m))
+        azimuth_rad, elevation_tan, distance_m = curvature.seen(
+            easting_m - eye.easting_m[0],
+            northing_m - eye.northing_m[0],
+            surface_m - eye.eye_elevation_m[0],
+        )
         height_m = float(peaks.height_m[index])
         if abs(height_m - surface_m) > _OTHER_HEIGHT_M:
             height_m = math.nan
@@ -126,10 +127,9 @@ def aimed_at(
                 easting_m=easting_m,
                 northing_m=northing_m,
                 surface_m=surface_m,
-                grid_azimuth_deg=math.degrees(math.atan2(east_m, north_m)) % 360.0,
-                # Of a summit just under the eye no direction is asked.
-                elevation_tan=up_m / max(distance_m, 1.0),
-                distance_m=distance_m,
+                grid_azimuth_deg=math.degrees(azimuth_rad) % 360.0,
+                elevation_tan=float(elevation_tan),
+                distance_m=float(distance_m),
                 height_m=height_m,
             )
         )

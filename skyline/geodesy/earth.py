@@ -16,6 +16,9 @@ EARTH_RADIUS_M = 6371008.8
 DEFAULT_REFRACTION_K = 0.13
 """The share of the Earth's curvature that refraction usually compensates by day."""
 
+_LEAST_AWAY_M = 1e-3
+"""The least distance of a point from an eye: a point right over an eye has a direction, too."""
+
 GROUND_M = (-500.0, 9000.0)
 """Lowest and highest ground on Earth, with a margin: Dead Sea -430 m, Everest 8849 m."""
 
@@ -51,3 +54,28 @@ class Curvature:
         """Return the drop in metres at horizontal distances in metres."""
         refuse_text(distance_m=distance_m)
         return self.drop_per_m2 * np.square(np.asarray(distance_m, dtype=np.float64))
+
+    def seen(
+        self, east_m: Float64Array, north_m: Float64Array, up_m: Float64Array
+    ) -> tuple[Float64Array, Float64Array, Float64Array]:
+        """Return how an eye sees points: azimuths, tangents and distances.
+
+        The points (N,) are given by metres east, north and up from the eye. Azimuths are radians
+        from the map's north. The tangent of elevation is the height less the drop, over the
+        horizontal distance, which is at least `_LEAST_AWAY_M`.
+        """
+        away_m = np.maximum(np.hypot(east_m, north_m), _LEAST_AWAY_M)
+        return np.arctan2(east_m, north_m), (up_m - self.drop_m(away_m)) / away_m, away_m
+
+    def seen_changes(
+        self, azimuth_rad: Float64Array, elevation_tan: Float64Array, distance_m: Float64Array
+    ) -> Float64Array:
+        """Return the derivatives (N, 2, 3) of what `seen` returns.
+
+        They are of azimuth, radians, and tangent, by a metre east, north and up of the point.
+        """
+        sine, cosine, none = np.sin(azimuth_rad), np.cos(azimuth_rad), np.zeros_like(distance_m)
+        outward = -elevation_tan / distance_m - 2.0 * self.drop_per_m2
+        by_azimuth = np.stack([cosine / distance_m, -sine / distance_m, none], axis=-1)
+        by_tangent = np.stack([outward * sine, outward * cosine, 1.0 / distance_m], axis=-1)
+        return np.stack([by_azimuth, by_tangent], axis=-2)
