@@ -10,9 +10,10 @@ from datetime import date, datetime
 
 import numpy as np
 
+from skyline.angles import angle_between_deg
 from skyline.arrays import BoolArray, Float64Array
 from skyline.errors import InputError
-from skyline.geodesy.bounds import Circle, in_turn
+from skyline.geodesy.bounds import Circle
 from skyline.geodesy.earth import Curvature
 from skyline.sun import Body, Sky, minutes_of
 from skyline.terrain.heightfield import HeightField
@@ -135,7 +136,7 @@ def _reaches(back_rad: Float64Array, to_middle_m: Float64Array, radius_m: float)
     toward_deg = np.degrees(np.arctan2(*to_middle_m))
     half_deg = np.degrees(np.arcsin(radius_m / away_m))
     # A degree more, since the first round looks from the summit.
-    return np.asarray(np.abs(in_turn(np.degrees(back_rad) - toward_deg)) <= half_deg + 1.0)
+    return np.asarray(angle_between_deg(np.degrees(back_rad), toward_deg) <= half_deg + 1.0)
 
 
 def _shadow_m(

@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
+from skyline.angles import wrapped_deg
 from skyline.arrays import BoolArray, Float64Array
 from skyline.camera import Camera
 from skyline.errors import InputError, OffMapError, printable
-from skyline.geodesy.bounds import in_turn
 from skyline.ground import GroundErrors
 from skyline.match.config import MatchConfig
 from skyline.match.rays import Rays
@@ -342,7 +342,7 @@ class _Fit:
         column, row = self.points.column_px, self.points.row_px
         seen = Bearings.of(self.camera(state), column, row, len(state))
         azimuth, tan, _ = toward = self.toward(state)
-        turn_deg = in_turn(seen.grid_azimuth_deg - np.degrees(azimuth))
+        turn_deg = wrapped_deg(seen.grid_azimuth_deg - np.degrees(azimuth))
         off = np.stack([np.radians(turn_deg), seen.elevation_tan - tan], axis=1)
         by_place = self.viewer.curvature.seen_changes(*toward)
         # The point's own direction changes as the eye moves the other way.

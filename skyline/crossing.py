@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtrc
 
+from skyline.angles import angle_between_deg
 from skyline.arrays import Float64Array
 from skyline.camera import Pixel
 from skyline.errors import InputError
-from skyline.geodesy.bounds import in_turn
 from skyline.geodesy.earth import Curvature
 from skyline.photo.skyline import PhotoSkyline
 from skyline.pose import Pose
@@ -205,7 +205,7 @@ def _check_apart(seen: Sequence[_Seen]) -> None:
     """Raise `InputError` if all rays are parallel within their errors."""
     first, second = np.triu_indices(len(seen), 1)
     azimuth_deg = np.degrees([one.azimuth_rad for one in seen])
-    apart_deg = np.abs(in_turn(azimuth_deg[first] - azimuth_deg[second]))
+    apart_deg = angle_between_deg(azimuth_deg[first], azimuth_deg[second])
     apart_deg = np.minimum(apart_deg, 180.0 - apart_deg)
     sd_deg = np.degrees([one.azimuth_sd_rad for one in seen])
     error_deg = np.hypot(sd_deg[first], sd_deg[second])

@@ -13,9 +13,9 @@ from numbers import Real
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from skyline.angles import angle_between_deg
 from skyline.arrays import Float64Array
 from skyline.errors import InputError
-from skyline.geodesy.bounds import in_turn
 from skyline.geodesy.earth import Curvature
 from skyline.local_horizons import LocalHorizons, azimuths_deg
 from skyline.progress import Progress
@@ -54,7 +54,7 @@ def with_photo(
     at_deg = horizons.azimuth_deg[0]
     after = np.searchsorted(known_deg, at_deg) % len(known_deg)
     nearest_deg = np.minimum(
-        np.abs(in_turn(known_deg[after] - at_deg)), np.abs(in_turn(known_deg[after - 1] - at_deg))
+        angle_between_deg(known_deg[after], at_deg), angle_between_deg(known_deg[after - 1], at_deg)
     )
     reach_deg = max(180.0 / len(at_deg), 2.0 * float(np.median(np.diff(known_deg, append=360.0))))
     is_seen = nearest_deg <= reach_deg

@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from skyline.angles import wrapped_deg
 from skyline.errors import printable
-from skyline.geodesy.bounds import in_turn
 from skyline.match.noted_errors import noted_heading_sd_deg
 from skyline.match.result import NORTHS, to_dataframe
 from skyline.photo.skyline import PhotoSkyline
@@ -107,7 +107,7 @@ class Orientation:
         """
         if self.pose is None or self.skyline.noted.heading_deg is None:
             return None
-        return float(in_turn(self.pose.heading_deg - self.skyline.noted.heading_deg))
+        return float(wrapped_deg(self.pose.heading_deg - self.skyline.noted.heading_deg))
 
     @property
     def _compass_in_words(self) -> str | None:

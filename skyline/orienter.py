@@ -24,9 +24,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from skyline.angles import angle_between_deg
 from skyline.arrays import Float64Array, refuse_text
 from skyline.errors import InputError, printable
-from skyline.geodesy.bounds import in_turn
 from skyline.match import confidence
 from skyline.match.config import MatchConfig
 from skyline.match.eye_prior import EyeHeightPrior, KnownGround, Standing
@@ -376,7 +376,7 @@ class Orienter(Closeable):
         """
         heights_m = self._eye_heights_m(poses)
         is_same = (
-            np.abs(in_turn(poses.grid_heading_deg - poses.grid_heading_deg[0])) < _SEARCH.apart_deg
+            angle_between_deg(poses.grid_heading_deg, poses.grid_heading_deg[0]) < _SEARCH.apart_deg
         )
         off_m = np.abs(poses.eye_elevation_m - poses.eye_elevation_m[0])
         same_m = max(_DOUBTS.eye_sds * self._scene.height_sd_m, _DOUBTS.eye_share * heights_m[0])

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from skyline.angles import angle_between_deg
 from skyline.arrays import BoolArray, Float64Array, IntArray, Rows
 from skyline.camera import Camera
-from skyline.geodesy.bounds import in_turn
 from skyline.geodesy.map_frame import Frame, geodesic_m
 from skyline.photo.skyline import PhotoSkyline
 from skyline.pose_errors import ANGLES, ASSUMED
@@ -214,7 +214,7 @@ class Pose:
 
     def turn_deg(self, other: "Pose") -> float:
         """Return the angle between two poses' headings, 0 to 180 degrees."""
-        return abs(float(in_turn(self.heading_deg - other.heading_deg)))
+        return float(angle_between_deg(self.heading_deg, other.heading_deg))
 
     def is_same_answer(self, other: "Pose", within_m: float = RIGHT_WITHIN_M) -> bool:
         """Return whether another pose is the same answer, within a distance.
@@ -496,7 +496,7 @@ class Poses(Rows):
 
     def are_same(self, within_m: float, turn_deg: float) -> BoolArray:
         """Return which pairs of poses (M, M) are the same answer."""
-        turn = np.abs(in_turn(self.grid_heading_deg - self.grid_heading_deg[:, np.newaxis]))
+        turn = angle_between_deg(self.grid_heading_deg, self.grid_heading_deg[:, np.newaxis])
         return np.asarray((self.distances_m() <= within_m) & (turn <= turn_deg))
 
     def rival_margin(self, farther_than_m: float, turn_deg: float = 360.0) -> Float64Array:
@@ -527,7 +527,7 @@ class Poses(Rows):
             if not left[index]:
                 continue
             chosen.append(int(index))
-            turn = np.abs(in_turn(self.grid_heading_deg - self.grid_heading_deg[index]))
+            turn = angle_between_deg(self.grid_heading_deg, self.grid_heading_deg[index])
             left &= (self._distances_from_m(int(index)) >= separation_m) | (turn > turn_deg)
             left[index] = False
         return np.array(chosen, dtype=np.intp)

@@ -7,9 +7,9 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
+from skyline.angles import wrapped_deg
 from skyline.arrays import Float64Array, refuse_text
 from skyline.errors import InputError, numbers_of
-from skyline.geodesy.bounds import in_turn
 
 
 def sky_view_factor(
@@ -54,7 +54,9 @@ def sky_view_factor(
     refuse_text(azimuth_deg=azimuth_deg, elevation_deg=elevation_deg)
     azimuth, elevation = (np.asarray(a, dtype=np.float64) for a in (azimuth_deg, elevation_deg))
     even = np.arange(azimuth.size) * (360.0 / max(azimuth.size, 1))
-    if azimuth.ndim != 1 or not np.allclose(in_turn(azimuth - azimuth[:1] - even), 0.0, atol=1e-3):
+    if azimuth.ndim != 1 or not np.allclose(
+        wrapped_deg(azimuth - azimuth[:1] - even), 0.0, atol=1e-3
+    ):
         raise InputError("azimuths are not equal steps, in degrees, over a full turn")
     if elevation.shape[-1:] != azimuth.shape:
         raise InputError(

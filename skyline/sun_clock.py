@@ -15,10 +15,10 @@ from datetime import date, datetime, timedelta
 import numpy as np
 from scipy.linalg import block_diag
 
+from skyline.angles import wrapped_deg
 from skyline.arrays import Float64Array
 from skyline.camera import Pixel
 from skyline.errors import InputError
-from skyline.geodesy.bounds import in_turn
 from skyline.ground import GroundErrors, GroundPoints, GroundView
 from skyline.photo.skyline import PhotoSkyline
 from skyline.pose import Pose
@@ -81,7 +81,7 @@ class Pointing:
         """
         direction_deg = np.array([(one.azimuth_deg, one.elevation_deg) for one in seen])
         off_deg = np.nan_to_num(direction_deg - [self.azimuth_deg, self.elevation_deg])
-        off_deg[:, 0] = in_turn(off_deg[:, 0])
+        off_deg[:, 0] = wrapped_deg(off_deg[:, 0])
         return np.asarray(off_deg)
 
 
@@ -282,7 +282,7 @@ def _spread_deg2(way: Float64Array, covariance: Float64Array) -> Float64Array:
     variance, axes = np.linalg.eigh(covariance)
     aside = np.sqrt(3.0 * np.maximum(variance, 0.0)) * axes
     beside = _angles(way + np.concatenate([aside.T, -aside.T]))
-    off_deg = in_turn(np.degrees(beside - _angles(way)))
+    off_deg = wrapped_deg(np.degrees(beside - _angles(way)))
     return np.asarray(off_deg.T @ off_deg / len(off_deg))
 
 
@@ -355,7 +355,7 @@ def _refined(pointing: Pointing, sky: Sky, body: Body, at: datetime) -> ClockTim
         before, middle, after = pointing.off_deg(
             *(sky.look(body, at + part * minute) for part in (-0.5, 0.0, 0.5))
         )
-        moved = in_turn(after - before)
+        moved = wrapped_deg(after - before)
         speed = float(moved @ weight @ moved)
         shift = float(np.clip(-(moved @ weight @ middle) / speed, -2.0, 2.0)) * minute
         if sky.look(body, at + shift).elevation_deg < _LEAST_ELEVATION_DEG:

@@ -14,10 +14,10 @@ from threading import Lock
 
 import numpy as np
 
+from skyline.angles import angle_between_deg, wrapped_deg
 from skyline.arrays import BoolArray, Float64Array, ShortRepr
 from skyline.camera import in_picture
 from skyline.errors import InputError
-from skyline.geodesy.bounds import in_turn
 from skyline.geodesy.earth import Curvature
 from skyline.ground import GroundView
 from skyline.noted_pose import NotedPose
@@ -159,7 +159,7 @@ def sight_of(pose: Pose, photo: PhotoSkyline, views: Views) -> Sight:
     """
     azimuth_deg = views.grid_azimuth_deg().ravel()
     # In order from behind the camera, so that the columns ahead are one unbroken run.
-    order = np.argsort((azimuth_deg - pose.grid_heading_deg + 180.0) % 360.0)
+    order = np.argsort(wrapped_deg(azimuth_deg - pose.grid_heading_deg))
     azimuth_deg = azimuth_deg[order]
     elevation_tan = np.tan(np.radians(views.elevation_deg())).ravel()[order]
     is_sure = views.flags.ravel()[order] == 0
@@ -266,7 +266,7 @@ class Viewer(Closeable):
         easting_m, northing_m = float(eye.easting_m[0]), float(eye.northing_m[0])
         convergence_deg = self.frame.convergence_deg(easting_m=easting_m, northing_m=northing_m)
         return Pose(
-            lon=float(in_turn(lon)),
+            lon=float(wrapped_deg(lon)),
             lat=lat,
             heading_deg=heading_deg % 360.0,
             pitch_deg=pitch_deg,
@@ -496,7 +496,7 @@ class Viewer(Closeable):
 
     def _views(self, eye: Viewpoints, pose: Pose) -> Views:
         """Render the views in the directions around the photo."""
-        away_deg = np.abs(in_turn(90.0 * np.array(HEADINGS) - pose.grid_heading_deg))
+        away_deg = angle_between_deg(90.0 * np.array(HEADINGS), pose.grid_heading_deg)
         headings = np.flatnonzero(away_deg < 45.0 + 0.5 * pose.fov_deg + _MARGIN_DEG)
         with self._making:
             if self._scene is None:

@@ -28,10 +28,10 @@ from skyline import (
     build_places,
     read_dem,
 )
+from skyline.angles import angle_between_deg
 from skyline.arrays import Float64Array
 from skyline.cli.terminal import Terminal
 from skyline.control_points import KnownCamera, PointErrors, fit_points
-from skyline.geodesy.bounds import in_turn
 from skyline.ground_shapes import GroundShape, on_ground
 from skyline.point_files import ControlPoints
 from skyline.survey.plans import map_bounds
@@ -219,7 +219,7 @@ def _by_points(
         viewer, photo, lon=float(place[0]), lat=float(place[1]), position_sd_m=BESIDE_M
     )
     found = fit_points(viewer, photo, points, known, _EXACT)
-    off_deg = abs(float(in_turn(found.pose.grid_heading_deg - query.truth.grid_heading_deg)))
+    off_deg = float(angle_between_deg(found.pose.grid_heading_deg, query.truth.grid_heading_deg))
     is_named = found.wrong == (str(wrong),)
     return [{"off_deg": off_deg, "sd_deg": found.sds_deg["heading"], "is_named": is_named}]
 

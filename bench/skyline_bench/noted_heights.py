@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from skyline import Orientation, PhotoSkyline
-from skyline.geodesy.bounds import in_turn
+from skyline.angles import angle_between_deg
 from skyline.geodesy.map_frame import Rectangle
 from skyline.orientation import RIGHT_DEG
 from skyline.photo.noted_place import NotedPlace
@@ -115,7 +115,10 @@ def _summary(tried: Sequence[_Tried]) -> dict[str, Any]:
     """
     answers = [(truth, one.answer) for truth, one, _ in tried if one.answer is not None]
     off_deg = np.array(
-        [abs(in_turn(pose.grid_heading_deg - truth.grid_heading_deg)) for truth, pose in answers]
+        [
+            angle_between_deg(pose.grid_heading_deg, truth.grid_heading_deg)
+            for truth, pose in answers
+        ]
     )
     off_m = np.array([abs(pose.eye_elevation_m - truth.eye_elevation_m) for truth, pose in answers])
     heights_m = [height_m for *_, height_m in tried]

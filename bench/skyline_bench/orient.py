@@ -19,9 +19,9 @@ from PIL import Image
 from typer import Option
 
 from skyline import Orientation, Orienter, PhotoSkyline, read_dem
+from skyline.angles import angle_between_deg, wrapped_deg
 from skyline.cli.terminal import Terminal
 from skyline.errors import InputError, SkylineError
-from skyline.geodesy.bounds import in_turn
 from skyline.geodesy.map_frame import Rectangle
 from skyline.orientation import RIGHT_DEG
 from skyline.orienter import DEFAULT_POSITION_SD_M, KnownPosition, orienters
@@ -201,7 +201,7 @@ def figures_of(
     pose = found.pose
     off_deg = fov_off = None
     if pose is not None and heading_deg is not None:
-        off_deg = abs(float(in_turn(pose.heading_deg - heading_deg)))
+        off_deg = float(angle_between_deg(pose.heading_deg, heading_deg))
     if pose is not None and fov_deg is not None:
         fov_off = pose.fov_deg / fov_deg - 1.0
     return {
@@ -284,7 +284,9 @@ def webcam_row(
             progress(number, count)
     answered = np.array([one.answer is not None for one in found])
     clear = [one.pose for one, is_clear in zip(found, answered & ~fog, strict=True) if is_clear]
-    off_deg = (in_turn(pose.grid_heading_deg - truth.grid_heading_deg) for pose in clear if pose)
+    off_deg = (
+        wrapped_deg(pose.grid_heading_deg - truth.grid_heading_deg) for pose in clear if pose
+    )
     turned = np.array(list(off_deg))
     middle = float(np.median(turned)) if len(turned) else math.nan
     spread = np.abs(turned - middle)

@@ -25,10 +25,11 @@ from skyline import (
     read_dem,
     read_skyline,
 )
+from skyline.angles import wrapped_deg
 from skyline.arrays import Float64Array
 from skyline.cli.terminal import Terminal
 from skyline.files import write_whole
-from skyline.geodesy.bounds import Bounds, in_turn
+from skyline.geodesy.bounds import Bounds
 from skyline.geodesy.map_frame import geodesic_m
 from skyline.photo.read import read_picture
 from skyline.pose import RIGHT_WITHIN_M
@@ -359,7 +360,7 @@ def _off_m(one: Photograph, place: Pose, matcher: Matcher) -> float:
 def _turn_deg(one: Photograph, place: Pose) -> float | None:
     if one.heading_deg is None:
         return None
-    return float(in_turn(place.heading_deg - one.heading_deg))
+    return float(wrapped_deg(place.heading_deg - one.heading_deg))
 
 
 def _groups(photographs: Sequence[Photograph], apart_m: float) -> Iterator[list[Photograph]]:

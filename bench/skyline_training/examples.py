@@ -21,9 +21,9 @@ from typing import TypeVar
 import numpy as np
 
 from skyline import Matcher, build_places, read_dem
+from skyline.angles import angle_between_deg
 from skyline.arrays import Float64Array
 from skyline.errors import InputError
-from skyline.geodesy.bounds import in_turn
 from skyline.geodesy.map_frame import Rectangle
 from skyline.match import confidence
 from skyline.match.noted_errors import NOTED_ERRORS
@@ -292,7 +292,7 @@ def _example(
 ) -> Example:
     best = int(np.argmin(poses.cost))
     off_m = float(query.truth.off_m(poses.easting_m[best], poses.northing_m[best]))
-    turn_deg = abs(float(in_turn(poses.grid_heading_deg[best] - query.truth.grid_heading_deg)))
+    turn_deg = float(angle_between_deg(poses.grid_heading_deg[best], query.truth.grid_heading_deg))
     return Example(
         {name: float(values[best]) for name, values in figures.items()},
         off_m if turn_deg <= SAME_VIEW_DEG else math.inf,

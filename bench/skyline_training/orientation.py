@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from skyline import Orienter
+from skyline.angles import angle_between_deg
 from skyline.errors import SkylineError
-from skyline.geodesy.bounds import in_turn
 from skyline.match import confidence
 from skyline.match.confidence import ORIENTED, Logistic
 from skyline.match.narrowing import Narrowing
@@ -99,7 +99,7 @@ def _oriented(
                 continue
             if found is not None:
                 figures, heading_deg = found
-                off_deg = abs(float(in_turn(heading_deg - truth.grid_heading_deg)))
+                off_deg = float(angle_between_deg(heading_deg, truth.grid_heading_deg))
                 yield Example(figures, math.inf if is_strange else off_deg)
 
 

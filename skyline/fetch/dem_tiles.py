@@ -25,6 +25,7 @@ from rasterio.errors import RasterioError
 from rasterio.windows import Window
 from rasterio.windows import transform as transform_of
 
+from skyline.angles import wrapped_deg
 from skyline.arrays import BoolArray
 from skyline.errors import FetchError, InputError, some_of
 from skyline.fetch.remote import (
@@ -36,7 +37,7 @@ from skyline.fetch.remote import (
     with_remote,
 )
 from skyline.files import check_folder, for_gdal, write_whole
-from skyline.geodesy.bounds import Bounds, box_around, check_bounds, in_turn, width_deg
+from skyline.geodesy.bounds import Bounds, box_around, check_bounds, width_deg
 from skyline.progress import Progress
 from skyline.terrain.raster_files import bands_of, without_secrets
 
@@ -250,7 +251,7 @@ def tile_corners(bounds_deg: Bounds) -> list[tuple[int, int]]:
             f"{size_gb:.1f} GB at one arc-second; at most {MAX_TILES} tiles are fetched at a "
             "time: choose smaller bounds"
         )
-    return [(lat, int(in_turn(lon))) for lat in lats for lon in lons]
+    return [(lat, int(wrapped_deg(lon))) for lat in lats for lon in lons]
 
 
 def _cut_of(
@@ -323,7 +324,7 @@ def _window(url: str, file: Any, corner: tuple[int, int], bounds_deg: Bounds) ->
     lat, lon = corner
     half_width_deg = 0.5 * file.width * step_east
     half_height_deg = 0.5 * file.height * step_north
-    east_deg = float(in_turn(middle - lon - 0.5))
+    east_deg = float(wrapped_deg(middle - lon - 0.5))
     north_deg = top - half_height_deg - lat - 0.5
     # Tiles reach over their borders by some pixels: a file with less than a tenth of its width in
     # the cell is a neighbour.

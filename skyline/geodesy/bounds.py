@@ -1,13 +1,10 @@
-"""Boxes and circles in degrees, turns, and distances in words.
+"""Boxes and circles in degrees, and distances in words.
 
 People read degrees of WGS 84 and azimuths from true north; the program works in metres of a frame,
 with azimuths from grid north.
 """
 
-import numpy as np
-from numpy.typing import ArrayLike
-
-from skyline.arrays import Float64Array
+from skyline.angles import wrapped_deg
 from skyline.errors import InputError, numbers_of, swapped_in_words
 
 Bounds = tuple[float, float, float, float]
@@ -59,7 +56,7 @@ def box_around(one: Bounds, other: Bounds) -> Bounds:
     """Return the box around two boxes less than half a turn apart."""
 
     def start_deg(box: Bounds) -> float:
-        return float(in_turn(box[0], one[0]))
+        return float(wrapped_deg(box[0], one[0]))
 
     west = min(one, other, key=start_deg)[0]
     east = max(one, other, key=lambda box: start_deg(box) + width_deg(box))[2]
@@ -76,15 +73,9 @@ def contains_box(outer: Bounds, inner: Bounds) -> bool:
     )
 
 
-def in_turn(angle_deg: ArrayLike, about_deg: float = 0.0) -> Float64Array:
-    """Return angles within half a turn of another, by default [-180, 180)."""
-    least_deg = about_deg - 180.0
-    return (np.asarray(angle_deg, dtype=np.float64) - least_deg) % 360.0 + least_deg
-
-
 def degrees_in_words(value: float, names: str, decimals: int = 5) -> str:
     """Return a longitude (``names`` EW) or latitude (NS) in words."""
-    value = float(in_turn(value))
+    value = float(wrapped_deg(value))
     return f"{abs(value):.{decimals}f}° {names[0] if value >= 0.0 else names[1]}"
 
 

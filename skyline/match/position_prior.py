@@ -15,8 +15,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from skyline.angles import wrapped_deg
 from skyline.arrays import Complex128Array, Float64Array
-from skyline.geodesy.bounds import in_turn
 from skyline.geodesy.map_frame import Frame
 from skyline.match.noted_errors import (
     NOTED_ERRORS,
@@ -100,7 +100,7 @@ class PositionPrior:
         cost = -np.log(_WRONG.share + self._peak * self._tail(place_m) ** -1.5)
         if self.grid_heading_deg is not None:
             turn = np.degrees(heading_rad) - self.grid_heading_deg
-            off = in_turn(turn) / self.heading_sd_deg
+            off = wrapped_deg(turn) / self.heading_sd_deg
             right = 360.0 / (np.sqrt(2.0 * np.pi) * self.heading_sd_deg)
             right *= 1.0 - _WRONG.compass_share
             cost = cost - np.log(_WRONG.compass_share + right * np.exp(-0.5 * off**2))

@@ -5,9 +5,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from skyline.angles import angle_between_deg
 from skyline.arrays import BoolArray
 from skyline.errors import swapped_in_words
-from skyline.geodesy.bounds import Circle, in_turn
+from skyline.geodesy.bounds import Circle
 from skyline.geodesy.map_frame import Frame, Rectangle, in_rectangle
 from skyline.match.narrowing import Narrowing
 from skyline.match.position_prior import PositionPrior
@@ -110,8 +111,7 @@ class Prior:
             turn = self.frame.convergence_deg(
                 easting_m=poses.easting_m, northing_m=poses.northing_m
             )
-            off = in_turn(poses.grid_heading_deg + turn - heading)
-            allowed &= np.abs(off) <= slack
+            allowed &= angle_between_deg(poses.grid_heading_deg + turn, heading) <= slack
         return allowed
 
     def around(self, frame: Frame, *, lon: float, lat: float, radius_km: float) -> "Prior":

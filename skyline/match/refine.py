@@ -20,8 +20,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from skyline.angles import angle_between_deg
 from skyline.arrays import BoolArray, Complex128Array, Float64Array, IntArray, Rows
-from skyline.geodesy.bounds import in_turn
 from skyline.match.eye_prior import EyeHeightPrior
 from skyline.match.prior import NOTHING_KNOWN, Prior
 from skyline.match.rays import Rays
@@ -295,10 +295,10 @@ class Refinement:
         easting_m, northing_m = place_m.real, place_m.imag
         ground_m = self._scene.ground_m(easting_m, northing_m)
         height_m = state[:, EYE_HEIGHT]
-        turn = np.degrees(state[:, HEADING])[:, np.newaxis] - 90.0 * np.arange(4)
-        off = np.abs(in_turn(turn))
+        heading_deg = np.degrees(state[:, HEADING])[:, np.newaxis]
+        off_deg = angle_between_deg(heading_deg, 90.0 * np.arange(4))
         half_deg = 0.5 * solver.rays.fov_at(state[:, LOG_SCALE])[:, np.newaxis]
-        wanted = off < 45.0 + half_deg + MOVES.sector_margin_deg
+        wanted = off_deg < 45.0 + half_deg + MOVES.sector_margin_deg
         row, heading = np.nonzero(wanted & np.isfinite(ground_m)[:, np.newaxis])
         eyes = Viewpoints(
             easting_m=easting_m[row],

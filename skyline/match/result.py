@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from pyproj import CRS
 
+from skyline.angles import wrapped_deg
 from skyline.errors import InputError, library, printable
-from skyline.geodesy.bounds import distance_in_words, in_turn
+from skyline.geodesy.bounds import distance_in_words
 from skyline.geodesy.crs import WGS84
 from skyline.geodesy.map_frame import geodesic_m
 from skyline.match.narrowing import Narrowing
@@ -174,7 +175,7 @@ class MatchResult:
         if best is not None and noted.lonlat_deg is not None:
             distance_m = geodesic_m(*noted.lonlat_deg, best.lon, best.lat)
         if best is not None and noted.heading_deg is not None:
-            off_deg = float(in_turn(best.heading_deg - noted.heading_deg))
+            off_deg = float(wrapped_deg(best.heading_deg - noted.heading_deg))
         return {
             "lon": lon,
             "lat": lat,

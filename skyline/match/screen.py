@@ -32,6 +32,7 @@ from itertools import islice
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
+from skyline.angles import angle_between_deg
 from skyline.arrays import (
     BoolArray,
     Complex128Array,
@@ -41,7 +42,6 @@ from skyline.arrays import (
     Rows,
     UInt8Array,
 )
-from skyline.geodesy.bounds import in_turn
 from skyline.match.rays import Rays, on_bins
 from skyline.progress import Step, StepProgress, silent
 from skyline.store.mapped_places import PlaceSource
@@ -300,7 +300,7 @@ def turns_within(grid_heading_deg: float, slack_deg: float) -> BoolArray:
     They lie within ``slack_deg`` plus a turn's width of it.
     """
     axis_deg = turn_grid_heading_deg(np.arange(PHASE_BINS))
-    off_deg = np.abs(in_turn(axis_deg - grid_heading_deg))
+    off_deg = angle_between_deg(axis_deg, grid_heading_deg)
     return np.asarray(off_deg <= slack_deg + 360.0 / PHASE_BINS)
 
 

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from pyproj import CRS
 
+from skyline.angles import wrapped_deg
 from skyline.arrays import Float64Array, IntArray
 from skyline.errors import InputError, suffix_of
 from skyline.files import write_whole
-from skyline.geodesy.bounds import in_turn
 from skyline.geodesy.crs import is_of_earth, other_world_in_words
 from skyline.local_horizons import LocalHorizons
 from skyline.tables import csv_lines
@@ -196,7 +196,7 @@ def _stellarium(horizons: LocalHorizons) -> bytes:
     over east (``azDeg_altDeg``). Stellarium knows an installed landscape by its folder, and
     refuses a second one of that name (`LandscapeMgr::installLandscapeFromArchive`).
     """
-    lon_deg, lat_deg = float(in_turn(horizons.lon[0])), float(horizons.lat[0])
+    lon_deg, lat_deg = float(wrapped_deg(horizons.lon[0])), float(horizons.lat[0])
     name = str(horizons.id[0]) or f"Skyline {lat_deg:.4f} {lon_deg:.4f}"
     folder = f"skyline_{lat_deg:.5f}_{lon_deg:.5f}"
     lowest_deg = np.floor(min(float(horizons.elevation_deg.min()), 0.0)) - 1.0

@@ -23,9 +23,10 @@ from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
+from skyline.angles import wrapped_deg
 from skyline.arrays import BoolArray, Float32Array, Float64Array, FloatArray, UInt8Array
 from skyline.errors import InputError
-from skyline.geodesy.bounds import degrees_in_words, in_turn
+from skyline.geodesy.bounds import degrees_in_words
 from skyline.geodesy.map_frame import Frame
 from skyline.pose import Ellipse, Pose, view_wedge_m
 from skyline.report.labels import Label, UnnamedPeaks, labels_of
@@ -239,7 +240,7 @@ def _draw_degrees(axis: Axes, frame: Frame, area: Bbox) -> None:
     easting = area.x0 + along * area.width
     northing = area.y0 + along * area.height
     lon, lat = frame.to_lonlat(*np.meshgrid(easting, northing))
-    lon = in_turn(lon, float(lon[points // 2, points // 2]))
+    lon = wrapped_deg(lon, float(lon[points // 2, points // 2]))
     lines: dict[str, Any] = {"colors": "black", "linewidths": 0.4, "alpha": 0.35}
     for degrees, place, edge, names, way in (
         (lon, easting, lon[0], "EW", axis.set_xticks),

@@ -8,9 +8,10 @@ from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
+from skyline.angles import wrapped_deg
 from skyline.arrays import Float32Array
 from skyline.errors import InputError
-from skyline.geodesy.bounds import degrees_in_words, in_turn
+from skyline.geodesy.bounds import degrees_in_words
 from skyline.geodesy.crs import is_metric, is_of_earth, is_upright, off_area_deg, to_wgs84
 from skyline.geodesy.map_frame import Frame
 from skyline.terrain.grid import Grid
@@ -87,7 +88,7 @@ def metric_dem(mosaic: "Mosaic", options: DemOptions) -> MetricDem:
         _check_spacing(mosaic, max(grid.step_east, grid.step_north))
         counts = repair(heights_m, mosaic.source, max(grid.step_east, grid.step_north), rules)
     else:
-        frame = Frame.local(lon=float(in_turn(lon)), lat=lat, world=crs)
+        frame = Frame.local(lon=float(wrapped_deg(lon)), lat=lat, world=crs)
         ground_spacing = ground_spacing_m(grid, crs, frame)
         _check_spacing(mosaic, max(ground_spacing))
         counts = repair(heights_m, mosaic.source, max(ground_spacing), rules)

@@ -11,9 +11,9 @@ from place_scenes import AZIMUTH_DEG, curve, places_of, rays
 from scenes import NORTH_M, WEST_M, at_deg
 
 from skyline import MatchConfig, Matcher, Narrowing, build_places, horizon
+from skyline.angles import angle_between_deg
 from skyline.camera import Projection
 from skyline.errors import InputError
-from skyline.geodesy.bounds import in_turn
 from skyline.match import search
 from skyline.match.prior import NOTHING_KNOWN
 from skyline.match.shard import LocalShard
@@ -64,7 +64,7 @@ def test_queries_are_found_where_they_were_taken(store, terrain, queries):
         assert 0.0 < best.confidence < 1.0
         if off < 10.0:
             assert np.linalg.eigvalsh(best.covariance_m2).min() > 0.0
-            assert abs(in_turn(best.grid_heading_deg - query.truth.grid_heading_deg)) < 1.0
+            assert angle_between_deg(best.grid_heading_deg, query.truth.grid_heading_deg) < 1.0
 
 
 def test_too_little_skyline_is_refused(store, terrain, queries):
@@ -191,7 +191,7 @@ def test_photos_of_one_place_have_one_answer_and_a_stranger_is_named(
     assert "does not fit where the others" in other.refusal
     assert "degrees of skyline are visible" in nothing.refusal
     for mine, query in ((one, first), (another, second)):
-        assert abs(in_turn(mine.answer.grid_heading_deg - query.truth.grid_heading_deg)) < 1.0
+        assert angle_between_deg(mine.answer.grid_heading_deg, query.truth.grid_heading_deg) < 1.0
     for name in ("lon", "lat", "radius_m", "confidence", "eye_elevation_m"):
         assert getattr(one.answer, name) == pytest.approx(getattr(another.answer, name))
 

@@ -11,8 +11,8 @@ from scenes import NORTH_M, WEST_M, at_deg, field_of, fractal
 from test_matcher import MIDDLE, SHARP
 
 from skyline import Orienter, orient
+from skyline.angles import angle_between_deg, wrapped_deg
 from skyline.errors import InputError
-from skyline.geodesy.bounds import in_turn
 from skyline.orientation import Orientation
 from skyline.photo.noted_place import NotedPlace
 from skyline.photo.read import read_skyline
@@ -34,7 +34,7 @@ def off_deg(found, truth):
     """Return the errors of heading, pitch, roll and field of view."""
     pose = found.pose
     names = ("pitch_deg", "roll_deg", "fov_deg")
-    heading_deg = float(in_turn(pose.grid_heading_deg - truth.grid_heading_deg))
+    heading_deg = float(wrapped_deg(pose.grid_heading_deg - truth.grid_heading_deg))
     return np.array([heading_deg, *(getattr(pose, one) - getattr(truth, one) for one in names)])
 
 
@@ -114,7 +114,7 @@ def test_a_heading_that_is_given_is_kept_to(terrain, queries):
     far = orient(query.skyline, terrain, **place, heading_deg=(true_deg + 180.0, 20.0))
     assert far.answer is None
     if far.pose is not None:
-        assert abs(in_turn(far.pose.heading_deg - true_deg)) >= 160.0
+        assert angle_between_deg(far.pose.heading_deg, true_deg) >= 160.0
 
 
 def test_a_heading_s_greatest_error_is_above_zero(terrain, queries):

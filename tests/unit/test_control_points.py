@@ -9,10 +9,10 @@ from PIL import Image
 from PIL.ExifTags import Base
 from scenes import candidate_at, field_of, fractal
 
+from skyline.angles import angle_between_deg
 from skyline.camera import Projection
 from skyline.control_points import KnownCamera, PointErrors, fit_points
 from skyline.errors import InputError, MissingFileError, OffMapError
-from skyline.geodesy.bounds import in_turn
 from skyline.photo.photo import read_photo
 from skyline.photo.skyline import PhotoSkyline
 from skyline.point_files import ControlPoints, read_control_points, write_control_points
@@ -62,7 +62,7 @@ def known_at(photo=None, **given):
 
 
 def off_deg(found, pose=TRUE):
-    return abs(float(in_turn(found.pose.grid_heading_deg - pose.grid_heading_deg)))
+    return float(angle_between_deg(found.pose.grid_heading_deg, pose.grid_heading_deg))
 
 
 def state_of(pose):

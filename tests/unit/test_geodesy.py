@@ -8,8 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pyproj import Geod
 
+from skyline.angles import angle_between_deg, wrapped_deg
 from skyline.geodesy.bounds import box_around, check_bounds, contains_box, width_deg
 from skyline.geodesy.cell_grid import CellGrid
+from skyline.geodesy.earth import Curvature
 from skyline.geodesy.map_frame import TRUE_DEG, Frame, in_rectangle
 
 WGS84 = Geod(ellps="WGS84")
@@ -125,3 +127,27 @@ def test_rows_of_cells_go_south_from_the_north_western_corner():
 def test_a_rectangle_holds_its_sides():
     inside = in_rectangle((0.0, 0.0, 10.0, 5.0), [0.0, 10.0, 10.1, np.nan], [5.0, 0.0, 0.0, 1.0])
     assert inside.tolist() == [True, True, False, False]
+
+
+def test_angles_are_taken_the_short_way_round():
+    assert wrapped_deg([190.0, -180.0, 540.0]).tolist() == [-170.0, -180.0, -180.0]
+    assert float(wrapped_deg(-170.0, 180.0)) == 190.0
+    off_deg = angle_between_deg([350.0, 10.0, 0.0], [10.0, 350.0, 180.0])
+    assert off_deg.tolist() == [20.0, 20.0, 180.0]
+
+
+def test_an_eye_sees_a_point_lower_by_the_drop():
+    """5 km away, and 500 m up: the drop is 0.87 * 25e6 / (2 * 6371008.8) = 1.707 m."""
+    azimuth, tangent, away_m = Curvature().seen(3000.0, 4000.0, 500.0)
+    assert math.degrees(azimuth) == pytest.approx(36.8699, abs=1e-4)
+    assert (float(tangent), float(away_m)) == (pytest.approx(498.293 / 5000.0, abs=1e-6), 5000.0)
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_a_point_that_moves_is_seen_to_move_as_the_derivatives_say(axis):
+    there = np.array([3000.0, -4000.0, 500.0])
+    step = np.eye(3)[axis]
+    before, after = (Curvature().seen(*(there + side * step)) for side in (-1.0, 1.0))
+    moved = (np.array(after[:2]) - before[:2]) / 2.0
+    changes = Curvature().seen_changes(*Curvature().seen(*there))
+    np.testing.assert_allclose(changes[:, axis], moved, rtol=1e-6, atol=1e-15)

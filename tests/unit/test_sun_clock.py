@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scenes import candidate_at, field_from, perturbed
 
+from skyline.angles import wrapped_deg
 from skyline.camera import Projection
 from skyline.errors import InputError
-from skyline.geodesy.bounds import in_turn
 from skyline.geodesy.earth import Curvature
 from skyline.ground import GroundErrors
 from skyline.photo.skyline import PhotoSkyline
@@ -95,7 +95,7 @@ def test_times_and_headings_err_as_they_say_where_poses_are_drawn():
         off_s.append((found.time - MORNING).total_seconds())
         sd_s.append(found.sd_s)
         held = heading_at(pose, pointing, Kept, Body.SUN, MORNING)
-        off_sds.append(in_turn(held.heading_deg - true.heading_deg) / held.sd_deg)
+        off_sds.append(wrapped_deg(held.heading_deg - true.heading_deg) / held.sd_deg)
         pose_sds.append(held.off_sds)
     for errors in (np.divide(off_s, sd_s), off_sds, pose_sds):
         assert 0.90 <= np.mean(np.abs(errors) <= 2.0) <= 0.99

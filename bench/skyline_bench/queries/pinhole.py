@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from skyline.angles import wrapped_deg
 from skyline.arrays import Float64Array, IntArray
 
 PIN_HOLE = "pin-hole"
@@ -93,7 +94,7 @@ class Camera:
         curve's samples: it may lie outside the image, and is NaN where nothing is known. And the
         curve's sample (W,) just left of that point, -1 where the row is NaN.
         """
-        turned = np.mod(azimuth_deg - self.grid_heading_deg + 180.0, 360.0) - 180.0
+        turned = wrapped_deg(azimuth_deg - self.grid_heading_deg)
         first = int(np.argmin(turned))
         rolled = np.radians(np.roll(turned, -first)), np.roll(elevation_tan, -first)
         row_px, segment = _topmost(*self.project(*rolled), self.width_px)

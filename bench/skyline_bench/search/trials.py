@@ -14,8 +14,8 @@ import numpy as np
 from scipy.stats import binomtest
 
 from skyline import JointResult, Matcher, MatchResult, Narrowing
+from skyline.angles import angle_between_deg
 from skyline.errors import InputError
-from skyline.geodesy.bounds import in_turn
 from skyline.match.config import MatchConfig
 from skyline.match.matcher import FULL
 from skyline.match.posterior import SHARES, Posterior
@@ -146,7 +146,7 @@ def trial_of(
     best = places[0]
     truth = query[0].truth
     named = False
-    turn_deg = abs(float(in_turn(best.grid_heading_deg - truth.grid_heading_deg)))
+    turn_deg = float(angle_between_deg(best.grid_heading_deg, truth.grid_heading_deg))
     if isinstance(result, JointResult):
         has_stranger = query[-1].truth.easting_m != query[0].truth.easting_m
         named = not (result.agrees[-1] if has_stranger else all(result.agrees))

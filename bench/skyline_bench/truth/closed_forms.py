@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pyproj import Geod, Transformer
 
+from skyline.angles import wrapped_deg
 from skyline.arrays import Float64Array
-from skyline.geodesy.bounds import in_turn
 from skyline.geodesy.earth import Curvature
 from skyline.geodesy.map_frame import Frame
 from skyline.skylines import HEADINGS, columns_u, pixel_size
@@ -233,7 +233,7 @@ class _Country:
         lat = self.lat_deg + (rows - 0.5 - np.arange(2 * rows)) * _STEP_DEG
         paths = []
         for first, count in ((-west, west), (0, east)):
-            left = float(in_turn(self.lon_deg + first * step_lon))
+            left = float(wrapped_deg(self.lon_deg + first * step_lon))
             lon = left + (np.arange(count) + 0.5) * step_lon
             heights = self.height_m(*np.meshgrid(lon, lat)).astype(np.float32)
             corner = (left, lat[0] + 0.5 * _STEP_DEG)
