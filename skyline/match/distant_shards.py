@@ -19,9 +19,9 @@ from skyline.match.fit import FitEffort
 from skyline.match.posterior import AlikePlaces
 from skyline.match.prior import Prior
 from skyline.match.rays import Rays
-from skyline.match.screen import Alike, Screen
+from skyline.match.screen import Alike, Screen, Turns
 from skyline.match.search import one_blas_thread
-from skyline.match.shard import LocalShard, Starts, Turns
+from skyline.match.shard import LocalShard, Starts
 from skyline.pose import Poses
 from skyline.progress import StepProgress, silent
 from skyline.store.layout import PLACES_A_CHUNK

@@ -26,8 +26,8 @@ from skyline.match.fit import GOOD_FIT, ROUGH_FIT, FitEffort
 from skyline.match.posterior import AlikePlaces
 from skyline.match.prior import NOTHING_KNOWN, Prior
 from skyline.match.rays import REFERENCE_FOV_DEG, Rays
-from skyline.match.screen import Alike, Screen
-from skyline.match.shard import Shard, Starts, Turns
+from skyline.match.screen import Alike, Screen, Turns
+from skyline.match.shard import Shard, Starts
 from skyline.pose import Poses
 from skyline.progress import StepProgress, silent
 from skyline.store.places import Places

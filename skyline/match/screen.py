@@ -116,6 +116,18 @@ class Alike(Rows):
         return cls.concatenate([none, *parts])
 
 
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Turns(Rows):
+    """The best C turns of each of N places, best first."""
+
+    grid_heading_deg: Float64Array
+    """(N, C) float64. Of the optical axis, from grid north."""
+    fov: IntArray
+    """(N, C) intp. Index into the screen's fields of view."""
+    score: Float32Array
+    """(N, C) float32. Score of the turn; -inf where no open turn is left."""
+
+
 class Screen:
     """A photo at F assumed fields of view, ready to be compared.
 
@@ -197,15 +209,11 @@ class Screen:
         peak = best.max(axis=0).T[: len(phase)]
         return np.asarray(((peak - self.mean) * self.scale).max(axis=1), dtype=np.float32)
 
-    def best_turns(
-        self, phase: UInt8Array, count: int
-    ) -> tuple[Float64Array, IntArray, Float32Array]:
-        """Return the headings, fields of view and scores of the best turns.
+    def best_turns(self, phase: UInt8Array, count: int) -> Turns:
+        """Return the best turns of places with phases (N, B).
 
-        The phases are (N, B), and each result is (N, C); fields of view are returned as their
-        indices. The best comes first, and others are at least `_APART_TURNS` from better ones.
-        Where no open turn is left, the best one is returned again, with the score -inf. Headings
-        are grid azimuths of the optical axis, degrees.
+        They are at least `_APART_TURNS` from better ones. Where no open turn is left, the best one
+        is returned again.
         """
         sums = self._every_turn(_filled(phase, CHOSEN_AT_ONCE))[: len(phase)]
         score = (sums - self.mean[:, np.newaxis]) * self.scale[:, np.newaxis]
@@ -222,7 +230,7 @@ class Screen:
             left[row[:, np.newaxis], (turn[:, [k]] + near) % PHASE_BINS] = -np.inf
         # Only at these turns: an argmax of all takes as long as the product of matrices.
         fov = np.take_along_axis(score, turn[:, np.newaxis], axis=2).argmax(axis=1)
-        return turn_grid_heading_deg(turn), fov, peak
+        return Turns(grid_heading_deg=turn_grid_heading_deg(turn), fov=fov, score=peak)
 
     def _every_turn(self, phase: UInt8Array) -> Float32Array:
         """Return the sums (N, F, B) at every turn."""

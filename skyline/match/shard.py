@@ -18,7 +18,15 @@ from skyline.match.fit import CurveFit, FitEffort
 from skyline.match.posterior import AlikePlaces
 from skyline.match.prior import Prior
 from skyline.match.rays import Rays, in_runs
-from skyline.match.screen import CHOSEN_AT_ONCE, Alike, Scores, Screen, rescored, screen_places
+from skyline.match.screen import (
+    CHOSEN_AT_ONCE,
+    Alike,
+    Scores,
+    Screen,
+    Turns,
+    rescored,
+    screen_places,
+)
 from skyline.pose import Poses
 from skyline.progress import Step, StepProgress, silent
 from skyline.store.mapped_places import PlaceSource
@@ -41,18 +49,6 @@ class Starts(Rows):
     """(N,) float64. From grid north."""
     log_scale: Float64Array
     """(N,) float64. `Rays.log_scale` of the field of view."""
-
-
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Turns(Rows):
-    """The best C turns of each of N places; see `Screen.best_turns`."""
-
-    grid_heading_deg: Float64Array
-    """(N, C) float64. From grid north."""
-    fov: IntArray
-    """(N, C) intp. Index into the screen's fields of view."""
-    score: Float32Array
-    """(N, C) float32. Score of the turn; -inf where there is none."""
 
 
 class Shard(Protocol):
@@ -153,8 +149,7 @@ class LocalShard:
 
         def turns_from(first: int) -> Turns:
             phase = self._places.phases(rows[first : first + CHOSEN_AT_ONCE])
-            grid_heading_deg, fov, score = screen.best_turns(phase, count)
-            return Turns(grid_heading_deg=grid_heading_deg, fov=fov, score=score)
+            return screen.best_turns(phase, count)
 
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             return Turns.concatenate(list(pool.map(turns_from, groups)))

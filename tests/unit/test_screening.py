@@ -7,6 +7,7 @@ import pytest
 from place_scenes import AZIMUTH_DEG, Blocks, curve, photo, places_of, rays
 from ray_scenes import equally_trusted
 
+from skyline.angles import angle_between_deg
 from skyline.match.prior import NOTHING_KNOWN
 from skyline.match.screen import Alike, Screen, rescored, screen_places, turns_within, waves_of
 from skyline.store.places import decode_phases
@@ -56,13 +57,14 @@ def test_the_best_turn_has_the_field_of_view_that_fits_there(places):
     seen = wide(3, 100.0)
     alone = [Screen(seen, FOVS_DEG[k : k + 1], places) for k in range(3)]
     each = [screen.best_turns(places.phase, 1) for screen in alone]
-    scores = np.hstack([score for _, _, score in each])
-    heading_deg, fov, score = Screen(seen, FOVS_DEG, places).best_turns(places.phase, 1)
-    np.testing.assert_array_equal(fov[:, 0], scores.argmax(axis=1))
+    scores = np.hstack([one.score for one in each])
+    found = Screen(seen, FOVS_DEG, places).best_turns(places.phase, 1)
+    np.testing.assert_array_equal(found.fov[:, 0], scores.argmax(axis=1))
     # float32 of scores that reach a hundred.
-    np.testing.assert_allclose(score[:, 0], scores.max(axis=1), atol=1e-4)
-    of_fov = np.hstack([heading_deg for heading_deg, _, _ in each])
-    np.testing.assert_array_equal(heading_deg, np.take_along_axis(of_fov, fov, axis=1))
+    np.testing.assert_allclose(found.score[:, 0], scores.max(axis=1), atol=1e-4)
+    of_fov = np.hstack([one.grid_heading_deg for one in each])
+    expected = np.take_along_axis(of_fov, found.fov, axis=1)
+    np.testing.assert_array_equal(found.grid_heading_deg, expected)
 
 
 def test_an_unlikely_field_of_view_loses_its_penalty(places):
@@ -87,8 +89,8 @@ def test_only_places_within_are_looked_at(places):
 def test_shut_turns_are_not_looked_at(places):
     turns = turns_within(20.0, 15.0)
     screen = Screen(wide(11, 200.0), FOVS_DEG, places, turns)
-    heading_deg, *_ = screen.best_turns(places.phase, 4)
-    assert (np.abs((heading_deg - 20.0 + 180.0) % 360.0 - 180.0) <= 17.0).all()
+    heading_deg = screen.best_turns(places.phase, 4).grid_heading_deg
+    assert (angle_between_deg(heading_deg, 20.0) <= 17.0).all()
 
 
 def test_a_coarse_screen_compares_a_level_camera_at_every_other_turn(places):
