@@ -95,19 +95,14 @@ class _File:
 
     def place(self, row: ArrayLike, col: ArrayLike) -> tuple[Float64Array, Float64Array]:
         """Return easting and northing of fractional rows and columns."""
-        easting, northing = self.to_frame.transform(
-            self.grid.west + np.asarray(col) * self.grid.step_east,
-            self.grid.north - np.asarray(row) * self.grid.step_north,
-        )
+        easting, northing = self.to_frame.transform(*self.grid.at(row, col))
         return np.asarray(easting), np.asarray(northing)
 
     def height_m(self, easting: Float64Array, northing: Float64Array) -> Float64Array:
         """Return heights between samples, bilinear; NaN off the map and beside holes."""
-        x, y = self.from_frame.transform(easting, northing)
-        row = (self.grid.north - np.asarray(y)) / self.grid.step_north
-        col = (np.asarray(x) - self.grid.west) / self.grid.step_east
+        at = self.grid.index(*self.from_frame.transform(easting, northing))
         return np.asarray(
-            map_coordinates(self.heights_m, [row, col], output=np.float64, order=1, cval=np.nan)
+            map_coordinates(self.heights_m, at, output=np.float64, order=1, cval=np.nan)
         )
 
     def summits(self, count: int) -> tuple[Int64Array, Int64Array]:

@@ -31,7 +31,7 @@ from skyline.errors import InputError, MissingFileError
 from skyline.files import appearing
 from skyline.geodesy.map_frame import Frame
 from skyline.terrain.grid import Grid
-from skyline.terrain.heightfield import HeightField, field_of
+from skyline.terrain.heightfield import HeightField, dem_of, field_of
 from skyline.terrain.lazy_heights import (
     Blocks,
     LazyHeights,
@@ -119,11 +119,8 @@ def save_field(field: HeightField, path: Path) -> None:
 
     Raises `InputError` where the file cannot be written.
     """
-    spacing = field.spacing_east_m, field.spacing_north_m
-    grid = Grid(field.west_m, field.north_m, *spacing, field.rows, field.cols)
-    dem = MetricDem(field.heights_m, grid, field.frame, field.provenance)
     try:
-        save_dem(dem, path, digest=field.digest)
+        save_dem(dem_of(field), path, digest=field.digest)
     except OSError as error:
         raise InputError(
             f"{path} cannot be written ({error.strerror}); make room for it"

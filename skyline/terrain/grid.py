@@ -8,7 +8,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+from numpy.typing import ArrayLike
 from pyproj import CRS
+
+from skyline.arrays import Float64Array
 
 MAX_SAMPLES = 1 << 31
 """The largest grid: 8 GiB of float32."""
@@ -47,6 +51,18 @@ class Grid:
     def box(self) -> tuple[float, float, float, float]:
         """West, south, east and north of the samples."""
         return self.west, self.south, self.east, self.north
+
+    def at(self, row: ArrayLike, col: ArrayLike) -> tuple[Float64Array, Float64Array]:
+        """Return abscissas and ordinates of fractional rows and columns."""
+        x = self.west + np.asarray(col, dtype=np.float64) * self.step_east
+        y = self.north - np.asarray(row, dtype=np.float64) * self.step_north
+        return x, y
+
+    def index(self, x: ArrayLike, y: ArrayLike) -> tuple[Float64Array, Float64Array]:
+        """Return fractional rows and columns; samples are at whole numbers."""
+        row = (self.north - np.asarray(y, dtype=np.float64)) / self.step_north
+        col = (np.asarray(x, dtype=np.float64) - self.west) / self.step_east
+        return row, col
 
     def part(self, rows: slice, cols: slice) -> "Grid":
         """Return the grid of some of the rows and columns."""

@@ -30,6 +30,7 @@ from skyline.arrays import (
 from skyline.errors import InputError, printable, some_of
 from skyline.geodesy.bounds import Bounds
 from skyline.geodesy.map_frame import Frame
+from skyline.terrain.grid import Grid
 from skyline.terrain.lazy_heights import LazyHeights
 from skyline.terrain.metric_dem import MetricDem
 from skyline.terrain.provenance import Provenance
@@ -169,6 +170,11 @@ class HeightField:
         """Number of samples from west to east."""
         return int((self._lazy_heights or self.heights_m).shape[1])
 
+    @property
+    def _grid(self) -> Grid:
+        spacing_m = self.spacing_east_m, self.spacing_north_m
+        return Grid(self.west_m, self.north_m, *spacing_m, self.rows, self.cols)
+
     def part(self, rows: slice, cols: slice) -> FloatArray:
         """Return a part of the heights.
 
@@ -213,12 +219,7 @@ class HeightField:
     @property
     def bounds_m(self) -> tuple[float, float, float, float]:
         """West, south, east, north of the outermost samples, metres."""
-        return (
-            self.west_m,
-            self.north_m - (self.rows - 1) * self.spacing_north_m,
-            self.west_m + (self.cols - 1) * self.spacing_east_m,
-            self.north_m,
-        )
+        return self._grid.box
 
     @property
     def box_deg(self) -> Bounds:
@@ -278,17 +279,12 @@ class HeightField:
     ) -> tuple[Float64Array, Float64Array]:
         """Return fractional (row, column) of map coordinates; samples are at whole numbers."""
         refuse_text(easting_m=easting_m, northing_m=northing_m)
-        easting_m, northing_m = by_dimensions(easting_m, northing_m)
-        row = (self.north_m - np.asarray(northing_m, dtype=np.float64)) / self.spacing_north_m
-        col = (np.asarray(easting_m, dtype=np.float64) - self.west_m) / self.spacing_east_m
-        return row, col
+        return self._grid.index(*by_dimensions(easting_m, northing_m))
 
     def to_map(self, row: ArrayLike, col: ArrayLike) -> tuple[Float64Array, Float64Array]:
         """Return easting and northing in metres of fractional rows and columns."""
         refuse_text(row=row, col=col)
-        easting = self.west_m + np.asarray(col, dtype=np.float64) * self.spacing_east_m
-        northing = self.north_m - np.asarray(row, dtype=np.float64) * self.spacing_north_m
-        return easting, northing
+        return self._grid.at(row, col)
 
     def height_at(
         self,
@@ -375,6 +371,11 @@ def field_of(dem: MetricDem) -> HeightField:
         frame=dem.frame,
         provenance=dem.provenance,
     )
+
+
+def dem_of(field: HeightField) -> MetricDem:
+    """Return a height field's metric samples; the inverse of `field_of`."""
+    return MetricDem(field.heights_m, field._grid, field.frame, field.provenance)
 
 
 def ground_of(field: HeightField) -> Ground:

@@ -202,13 +202,11 @@ def _positions(grid: Grid, target: Grid, crs: CRS, frame: Frame) -> _Positions:
     turn = full_turn(crs)
 
     def exact(rows: Float64Array, cols: Float64Array) -> tuple[Float64Array, Float64Array]:
-        easting, northing = np.meshgrid(
-            target.west + cols * target.step_east, target.north - rows * target.step_north
-        )
+        easting, northing = np.meshgrid(*target.at(rows, cols))
         x, y = to_source.transform(easting, northing)
         if turn is not None:
             x = x + turn * np.rint((grid.centre[0] - x) / turn)
-        return (grid.north - y) / grid.step_north, (x - grid.west) / grid.step_east
+        return grid.index(x, y)
 
     node_rows = _nodes(target.rows)
     node_cols = _nodes(target.cols)
@@ -344,14 +342,7 @@ def keep_summits(
     aside. ``heights_m`` are on ``grid``; ``to_target`` leads from its CRS to the CRS of ``target``.
     """
     row, col = local_maxima(heights_m)
-    easting, northing = to_target.transform(
-        grid.west + col * grid.step_east, grid.north - row * grid.step_north
-    )
-    nearest = _nearest_known(
-        warped_m,
-        (target.north - northing) / target.step_north,
-        (easting - target.west) / target.step_east,
-    )
+    nearest = _nearest_known(warped_m, *target.index(*to_target.transform(*grid.at(row, col))))
     np.maximum.at(warped_m.reshape(-1), nearest[nearest >= 0], heights_m[row, col][nearest >= 0])
 
 
