@@ -17,7 +17,6 @@ from skyline.files import write_whole
 from skyline.geodesy.bounds import are_degrees
 from skyline.geodesy.crs import WGS84, crs_of_positions, transformer
 from skyline.tables import Table, csv_lines, read_table
-from skyline.vectors import not_upright
 
 POINT_FILES = (".csv", ".points")
 """Suffixes of files of control points."""
@@ -50,21 +49,14 @@ class ControlPoints:
     """(N,) float64."""
     elevation_m: Float64Array
     """(N,) float64. Above the DEM's datum; NaN for a point on the ground of the DEM."""
-    as_stored: bool = False
-    """Whether they were marked in the photo as QGIS shows it."""
+    of_qgis: bool = False
+    """Whether they were marked in QGIS."""
 
     def __len__(self) -> int:
         return len(self.names)
 
-    def check_photo(
-        self, photo: Path, width_px: int, height_px: int, is_turned: bool = False
-    ) -> None:
-        """Raise `InputError` for points outside a photo, or in one that QGIS shows otherwise.
-
-        ``is_turned`` is as in `skyline.photo.photo.Photo`.
-        """
-        if self.as_stored and is_turned:
-            raise not_upright(self.path, photo)
+    def check_photo(self, photo: Path, width_px: int, height_px: int) -> None:
+        """Raise `InputError` for points outside a photo."""
         off = ~in_picture(self.column_px, self.row_px, width_px, height_px)
         if off.any():
             first = int(off.argmax())
@@ -130,7 +122,7 @@ def _of_qgis(path: Path, table: Table, named: Sequence[str]) -> ControlPoints:
         lon=x,
         lat=y,
         elevation_m=np.full(len(rows), np.nan),
-        as_stored=True,
+        of_qgis=True,
     )
 
 

@@ -86,19 +86,15 @@ class Vectors:
     """Width and height of their photo, if the file says so."""
     photo: str = ""
     """Name of their photo, if the file says so."""
-    as_stored: bool = False
-    """Whether they were drawn in the photo as QGIS shows it."""
+    of_qgis: bool = False
+    """Whether they were drawn in QGIS, in a photo."""
 
-    def check_photo(
-        self, photo: Path, width_px: int, height_px: int, is_turned: bool = False
-    ) -> None:
+    def check_photo(self, photo: Path, width_px: int, height_px: int) -> None:
         """Raise `InputError` if the vectors' photo has another name or size.
 
         Vertices that all lie within one pixel are refused as well: they are shares of the width and
-        height. ``is_turned`` is as in `skyline.photo.photo.Photo`.
+        height.
         """
-        if self.as_stored and is_turned:
-            raise not_upright(self.path, photo)
         if self.photo and not is_name_of(self.photo, photo):
             raise InputError(
                 f"{self.path} is drawn in {printable(self.photo)}, not in {photo}; give the photo "
@@ -127,17 +123,6 @@ class Vectors:
                     f"outside {photo}, which has {width_px} x {height_px} px; give the photo in "
                     "which it was drawn"
                 )
-
-
-def not_upright(path: Path, photo: Path) -> InputError:
-    """Return the error for pixels from QGIS in a photo that EXIF turns.
-
-    QGIS shows a photo as its file stores it, since GDAL's APPLY_ORIENTATION is off by default.
-    """
-    return InputError(
-        f"{path} is of QGIS, which shows {photo} as its file stores it, and EXIF turns that photo; "
-        "save the photo upright (ImageMagick's mogrify -auto-orient), and mark it again"
-    )
 
 
 def read_vectors(path: Path, photo: Path, in_pixels: bool = False) -> Vectors:
@@ -220,7 +205,7 @@ def _of_geojson(path: Path, read: Mapping[str, Any], in_pixels: bool) -> Vectors
     about = read.get(PHOTO_MEMBER)
     size_px = None
     name = ""
-    as_stored = False
+    of_qgis = False
     if isinstance(about, Mapping):
         size_px, in_pixels = (int(about["width_px"]), int(about["height_px"])), True
         name = str(about.get("name") or "")
@@ -231,12 +216,12 @@ def _of_geojson(path: Path, read: Mapping[str, Any], in_pixels: bool) -> Vectors
     ]
     if in_pixels:
         rows = np.concatenate([one.vertices[:, 1] for one in shapes]) if shapes else np.zeros(1)
-        as_stored = bool(rows.max() <= 0.0 and rows.min() < 0.0)
-        if as_stored:
+        of_qgis = bool(rows.max() <= 0.0 and rows.min() < 0.0)
+        if of_qgis:
             shapes = [_moved(one, lambda xy: xy * (1.0, -1.0) - _CORNER) for one in shapes]
     else:
         shapes = _in_degrees(path, shapes, read.get("crs"))
-    return Vectors(path, tuple(shapes), in_pixels, size_px, name, as_stored)
+    return Vectors(path, tuple(shapes), in_pixels, size_px, name, of_qgis)
 
 
 def _geometries(read: Mapping[str, Any]) -> Iterator[tuple[Any, Mapping[str, Any]]]:

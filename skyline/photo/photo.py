@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from datetime import datetime
+from pathlib import Path
 
 import numpy as np
 from PIL import Image, ImageOps
@@ -51,7 +52,7 @@ class Photo(ShortRepr):
     name : str
         The file, for messages.
     is_turned : bool
-        Whether EXIF turns or mirrors the pixels of the file, which GDAL and QGIS do not.
+        Whether EXIF turns or mirrors the pixels of the file.
     """
 
     rgb: UInt8Array
@@ -68,6 +69,18 @@ class Photo(ShortRepr):
         height, width = self.rgb.shape[:2]
         unknown = np.full(width, np.nan)
         return self.described(PhotoSkyline(unknown, np.zeros(width), width, height))
+
+    def check_upright(self, file: Path) -> None:
+        """Raise `InputError` if EXIF turns the photo, whose pixels a file of QGIS names.
+
+        QGIS shows a photo as its file stores it, since GDAL's APPLY_ORIENTATION is off by default.
+        """
+        if self.is_turned:
+            raise InputError(
+                f"{file} is of QGIS, which shows {self.name} as its file stores it, and EXIF turns "
+                "that photo; save the photo upright (ImageMagick's mogrify -auto-orient), and mark "
+                "again what was marked in QGIS"
+            )
 
     def described(self, skyline: PhotoSkyline) -> PhotoSkyline:
         """Return a skyline of this photo with its notes and its picture."""

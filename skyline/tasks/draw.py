@@ -57,8 +57,10 @@ def draw_vectors(task: DrawTask, listener: Listener) -> list[str]:
     photo = picture.blank
     vectors = read_vectors(task.vectors, task.photo, task.in_pixels)
     _check_kind(task, vectors, suffix)
+    if vectors.of_qgis:
+        picture.check_upright(task.vectors)
     if vectors.in_pixels:
-        vectors.check_photo(task.photo, photo.width_px, photo.height_px, picture.is_turned)
+        vectors.check_photo(task.photo, photo.width_px, photo.height_px)
     terrain = read_terrain(listener, names, task.crs)
     with Viewer(terrain) as viewer:
         pose = shown_pose(noted, viewer, listener)

@@ -43,12 +43,11 @@ def orient_by_points(task: PointsTask, listener: Listener) -> PointsFit:
     points = read_control_points(task.points)
     picture, noted = task.read()
     photo = picture.blank
-    if task.residuals is not None and picture.is_turned and is_of_qgis(task.residuals):
-        raise InputError(
-            f"{task.residuals} is for QGIS, which shows {task.photo} as its file has it, and EXIF "
-            "turns that photo; name a .csv file"
-        )
-    points.check_photo(task.photo, photo.width_px, photo.height_px, picture.is_turned)
+    if points.of_qgis:
+        picture.check_upright(task.points)
+    if task.residuals is not None and is_of_qgis(task.residuals):
+        picture.check_upright(task.residuals)
+    points.check_photo(task.photo, photo.width_px, photo.height_px)
     if noted is not None and noted.covariance is None:
         raise InputError(
             f"{task.pose} has no covariance, so nothing says how far it may be refined; give the "

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 import rasterio
 from commands import assert_refused, csv_of, lonlat_of
+from PIL import Image
+from PIL.ExifTags import Base
 from scenes import candidate_at
 
 from skyline import Viewer, read_dem, read_photo
@@ -101,3 +103,23 @@ def test_mistakes_about_points_are_one_line(run, dem, photo, pose, points, tmp_p
     assert_refused(run(*common, "--points", points, "--pose", pose, *at), "leave --at")
     off = csv_of(tmp_path / "off.csv", ["961,1,9,46"] * 3, "column_px,row_px,lon,lat")
     assert_refused(run(*common, *at, "--points", off), "outside")
+
+
+def test_pixels_of_qgis_are_refused_in_a_photo_that_exif_turns(
+    run, dem, photo, pose, points, tmp_path
+):
+    turned, marked, drawn = (tmp_path / name for name in ("turned.jpg", "a.points", "a.geojson"))
+    exif = Image.Exif()
+    exif[Base.Orientation] = 6
+    Image.open(photo).save(turned, exif=exif)
+    marked.write_text("#CRS: EPSG:4326\nmapX,mapY,sourceX,sourceY\n9,46,10.5,-20.5\n")
+    drawn.write_text('{"type": "Point", "coordinates": [10.5, -20.5]}')
+    out = tmp_path / "out.geojson"
+    at = "--at", "{:.6f},{:.6f}".format(*lonlat_of(dem))
+    orient = "orient", turned, "--dem", dem, *at
+    draw = "draw", turned, "--dem", dem, "--pose", pose, "--vectors", drawn, "--pixels", "-o", out
+    says = f"is of QGIS, which shows {turned} as its file stores it"
+    assert_refused(run(*orient, "--points", marked), f"{marked} {says}")
+    checked = tmp_path / "b.points"
+    assert_refused(run(*orient, "--points", points, "--residuals", checked), f"{checked} {says}")
+    assert_refused(run(*draw), f"{drawn} {says}")

@@ -231,9 +231,10 @@ def test_points_of_qgis_in_a_photo_that_exif_turns_are_refused(read, tmp_path):
     found = read("p.points", "#CRS: EPSG:4326\nmapX,mapY,sourceX,sourceY\n9,46,10.5,-20.5\n")
     turned, upright = (read_photo(tmp_path / name) for name in ("lying.jpg", "upright.jpg"))
     assert turned.rgb.shape == upright.rgb.shape == (60, 40, 3)
-    found.check_photo(Path("upright.jpg"), 40, 60, upright.is_turned)
-    with pytest.raises(InputError, match=r"shows lying.jpg as its file stores it, and EXIF turns"):
-        found.check_photo(Path("lying.jpg"), 40, 60, turned.is_turned)
+    assert found.of_qgis
+    upright.check_upright(found.path)
+    with pytest.raises(InputError, match=r"lying.jpg as its file stores it, and EXIF turns"):
+        turned.check_upright(found.path)
 
 
 def orientation(number):
