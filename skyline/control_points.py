@@ -15,7 +15,7 @@ import numpy as np
 
 from skyline.angles import wrapped_deg
 from skyline.arrays import BoolArray, Float64Array
-from skyline.camera import Camera
+from skyline.camera import MIN_FOV_DEG, MOST_DISTORTION, Camera
 from skyline.errors import InputError, OffMapError, printable
 from skyline.ground import GroundErrors
 from skyline.match.config import MatchConfig
@@ -449,11 +449,11 @@ class _Fit:
         bounded[PITCH] = np.clip(state[PITCH], -1.5, 1.5)
         bounded[LOG_SCALE] = np.clip(
             state[LOG_SCALE],
-            math.log(projection.half_width(1.0) / first_half),
+            math.log(projection.half_width(MIN_FOV_DEG) / first_half),
             math.log(widest / first_half),
         )
         if not projection.is_panorama:
-            bounded[WARP:] = np.clip(state[WARP:], -0.3, 0.3)
+            bounded[WARP:] = np.clip(state[WARP:], -MOST_DISTORTION, MOST_DISTORTION)
         return bounded
 
     def result(self, state: Float64Array, used: BoolArray, name: str) -> PointsFit:

@@ -526,13 +526,13 @@ def orient(  # noqa: PLR0913  (independent knowledge)
         )
     name, skyline = named_skyline(photo, fov_deg)
     lonlat_deg = None if lon is None or lat is None else (lon, lat)
-    position = known_position(skyline, name, lonlat_deg, elevation_m, position_sd_m)
+    position = known_position(skyline.noted, name, lonlat_deg, elevation_m, position_sd_m)
     with Orienter(dem, **position._asdict()) as orienter:
         return orienter.orient(skyline, name=name, heading_deg=heading_deg)
 
 
 def known_position(
-    skyline: PhotoSkyline,
+    noted: NotedPlace,
     name: str,
     lonlat_deg: tuple[float, float] | None,
     elevation_m: float | None,
@@ -544,9 +544,9 @@ def known_position(
     """
     usual_m = DEFAULT_POSITION_SD_M
     if lonlat_deg is None:
-        lonlat_deg, usual_m = skyline.noted.lonlat_deg, noted_position_sd_m(skyline.noted)
+        lonlat_deg, usual_m = noted.lonlat_deg, noted_position_sd_m(noted)
     if lonlat_deg is None:
-        aside = f" ({skyline.noted.left_aside})" if skyline.noted.left_aside else ""
+        aside = f" ({noted.left_aside})" if noted.left_aside else ""
         raise InputError(
             f"{printable(name)} notes no GPS position{aside}; give the place: --at LON,LAT"
         )

@@ -116,7 +116,7 @@ def _camera_of(
     if noted is not None:
         return _HeldCamera(shown_pose(noted, viewer, listener))
     with listener.slow("orienting the camera"), orienters(viewer.terrain) as orienter_at:
-        orienter = orienter_at(task.at.position_of(photo, str(task.photo)))
+        orienter = orienter_at(task.at.position_of(photo.noted, str(task.photo)))
         found = orienter.orient(photo, name=str(task.photo), heading_deg=task.at.heading_deg)
     if found.likely is None:
         raise InputError(

@@ -7,7 +7,7 @@ from skyline.batch import Entry
 from skyline.errors import InputError, SkylineError
 from skyline.orientation import Orientation
 from skyline.orienter import KnownPosition, known_position, orienters
-from skyline.photo.skyline import PhotoSkyline
+from skyline.photo.noted_place import NotedPlace
 from skyline.terrain.heightfield import HeightField
 
 
@@ -29,12 +29,12 @@ class CameraAt:
         if self.elevation_m is not None and self.lonlat_deg is None:
             raise InputError(f"--elevation {self.elevation_m:g} needs a position; give --at too")
 
-    def position_of(self, photo: PhotoSkyline, name: str) -> KnownPosition:
-        """Return where a photo was taken.
+    def position_of(self, noted: NotedPlace, name: str) -> KnownPosition:
+        """Return where a photo was taken that notes a place.
 
         Raises `InputError` if neither the photo nor the user gives a position.
         """
-        return known_position(photo, name, self.lonlat_deg, self.elevation_m, self.position_sd_m)
+        return known_position(noted, name, self.lonlat_deg, self.elevation_m, self.position_sd_m)
 
 
 def orient_photos(
@@ -45,7 +45,7 @@ def orient_photos(
         for entry in entries:
             try:
                 skyline = entry.read()
-                orienter = orienter_at(at.position_of(skyline, entry.path))
+                orienter = orienter_at(at.position_of(skyline.noted, entry.path))
                 found: Orientation | SkylineError = orienter.orient(
                     skyline,
                     name=entry.path,

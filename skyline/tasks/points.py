@@ -67,7 +67,7 @@ def orient_by_points(task: PointsTask, listener: Listener) -> PointsFit:
 
 def _standing(task: PointsTask, viewer: Viewer, photo: PhotoSkyline) -> KnownCamera:
     """Return the camera at the given position, or the photo's own."""
-    position = task.at.position_of(photo, str(task.photo))
+    position = task.at.position_of(photo.noted, str(task.photo))
     if not position.position_sd_m > 0.0:
         raise InputError(
             f"the standard deviation of the position is {position.position_sd_m:g} m; expected "
