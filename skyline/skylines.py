@@ -160,8 +160,7 @@ def raised_to_dip(
     if curvature.drop_per_m2 <= 0.0:
         return views
     kind = views.v.dtype
-    below_m = np.maximum(views.eye_elevation_m - lowest_m, 0.0)
-    away_m = np.sqrt(below_m / curvature.drop_per_m2)[:, np.newaxis]
+    away_m = curvature.horizon_m(views.eye_elevation_m - lowest_m)[:, np.newaxis]
     stretch = np.hypot(1.0, abscissa)
     dip_v = (-2.0 * curvature.drop_per_m2 * away_m * stretch).astype(kind)
     depth_m = (away_m / stretch).astype(kind)

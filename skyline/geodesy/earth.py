@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from skyline.arrays import Float64Array, refuse_text
+from skyline.arrays import Float64Array, FloatArray, refuse_text
 from skyline.errors import InputError
 
 EARTH_RADIUS_M = 6371008.8
@@ -54,6 +55,14 @@ class Curvature:
         """Return the drop in metres at horizontal distances in metres."""
         refuse_text(distance_m=distance_m)
         return self.drop_per_m2 * np.square(np.asarray(distance_m, dtype=np.float64))
+
+    def horizon_m(self, below_m: FloatArray | float) -> Any:
+        """Return the distance of the horizon that level ground has.
+
+        It lies so far below the eye, in metres; ground above the eye has its horizon at 0 m. Past
+        the horizon the drop hides it, so a flat plane has none. The dtype is the argument's.
+        """
+        return np.sqrt(np.maximum(below_m, 0.0) / self.drop_per_m2)
 
     def seen(
         self, east_m: Float64Array, north_m: Float64Array, up_m: Float64Array

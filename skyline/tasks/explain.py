@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from skyline.geodesy.earth import Curvature
 from skyline.render.horizon import RenderConfig, render_views
 from skyline.skylines import pixel_size
 from skyline.terrain.heightfield import HeightField
@@ -29,11 +30,10 @@ def explain_skyline(terrain: HeightField, eye: Viewpoints) -> dict[str, object]:
     """
     config = RenderConfig()
     views = render_views(terrain, eye, config)
-    drop_per_m2 = config.curvature.drop_per_m2
     position = {"easting_m": float(eye.easting_m[0]), "northing_m": float(eye.northing_m[0])}
     eye_m = float(eye.eye_elevation_m[0])
     reach_m = terrain.reach_m(**position)
-    sight_m = sight_range_m(terrain, eye_m, drop_per_m2)
+    sight_m = sight_range_m(terrain, eye_m, config.curvature)
     return {
         **position,
         "eye_elevation_m": eye_m,
@@ -45,14 +45,14 @@ def explain_skyline(terrain: HeightField, eye: Viewpoints) -> dict[str, object]:
         "data_reach_m": reach_m,
         "sight_m": sight_m,
         "samples_beyond_sight": share_beyond(terrain, eye, sight_m),
-        "curvature_bound_px": curvature_bound_px(reach_m, drop_per_m2, config.width),
+        "curvature_bound_px": curvature_bound_px(reach_m, config.curvature, config.width),
     }
 
 
-def curvature_bound_px(reach_m: float, drop_per_m2: float, width: int) -> float:
+def curvature_bound_px(reach_m: float, curvature: Curvature, width: int) -> float:
     """Return the greatest error of a skyline without curvature.
 
     The error is in px of ``width`` columns. ``reach_m`` is the distance of the farthest sample.
     """
     # The tangent changes by drop d^2 / z, and d is at most the root of 2 times z.
-    return float(np.sqrt(2.0)) * drop_per_m2 * reach_m / pixel_size(width)
+    return float(np.sqrt(2.0)) * curvature.drop_per_m2 * reach_m / pixel_size(width)

@@ -78,7 +78,7 @@ class DataEdge:
         above_m = highest_m - np.asarray(eye_elevation_m)
         drop = self.curvature.drop_per_m2
         if drop > 0.0:
-            distance_m = np.maximum(distance_m, np.sqrt(np.maximum(-above_m, 0.0) / drop))
+            distance_m = np.maximum(distance_m, self.curvature.horizon_m(-above_m))
             return np.asarray(above_m / distance_m - drop * distance_m)
         # On a flat Earth terrain below the eye rises towards its level with distance, without end.
         return np.asarray(np.where(above_m > 0.0, above_m / distance_m, 0.0))

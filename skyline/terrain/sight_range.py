@@ -2,19 +2,21 @@
 
 import numpy as np
 
+from skyline.geodesy.earth import Curvature
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 
 
-def sight_range_m(field: HeightField, eye_elevation_m: float, drop_per_m2: float) -> float:
+def sight_range_m(field: HeightField, eye_elevation_m: float, curvature: Curvature) -> float:
     """Return the distance beyond which nothing rises over the dip horizon.
 
-    A line of sight from e above the lowest ground grazes that ground at sqrt(e / drop). It meets
-    the highest sample, H above the lowest ground, sqrt(H / drop) farther on.
+    A line of sight grazes the lowest ground at its horizon. As far behind it, where the lowest
+    ground has its horizon for the highest sample, the line meets that sample.
     """
     lowest, highest = field.height_range_m
-    above_m = max(eye_elevation_m - lowest, 0.0)
-    return float((np.sqrt(above_m) + np.sqrt(highest - lowest)) / np.sqrt(drop_per_m2))
+    return float(
+        curvature.horizon_m(eye_elevation_m - lowest) + curvature.horizon_m(highest - lowest)
+    )
 
 
 def share_beyond(field: HeightField, eye: Viewpoints, distance_m: float) -> float:

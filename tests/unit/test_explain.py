@@ -17,7 +17,7 @@ def test_leaving_curvature_out_costs_no_more_than_its_bound():
         field, place = field_of(fractal(64, 64, 900.0, seed=seed), 300.0), at_m((9000.0, -9000.0))
         eyes, mars = stand_on(field, **place), Curvature(radius_m=3_389_500.0, refraction_k=0.0)
         reach_m = field.reach_m(**place)
-        bound_px = curvature_bound_px(reach_m, mars.drop_per_m2, 160)
+        bound_px = curvature_bound_px(reach_m, mars, 160)
         curved = oracle.skyline(field, eyes, 160, mars)
         flat = oracle.skyline(field, eyes, 160, Curvature(enabled=False))
         # The horizon of ground past the border is none of a flat Earth's.
@@ -34,7 +34,7 @@ def test_nothing_beyond_sight_shows(eye_height_m):
         heights = np.zeros((5, 400), dtype=np.float32)
         heights[:, -1] = 500.0
         field = field_of(heights, 100.0)
-        sight_m = sight_range_m(field, eye_height_m, moon.drop_per_m2)
+        sight_m = sight_range_m(field, eye_height_m, moon)
         easting = (field.cols - 1) * 100.0 - share * sight_m
         eye = stand_on(field, easting_m=easting, northing_m=-200.0, eye_height_m=eye_height_m)
         view = oracle.skyline(field, eye, 65, moon)

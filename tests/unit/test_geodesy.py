@@ -151,3 +151,9 @@ def test_a_point_that_moves_is_seen_to_move_as_the_derivatives_say(axis):
     moved = (np.array(after[:2]) - before[:2]) / 2.0
     changes = Curvature().seen_changes(*Curvature().seen(*there))
     np.testing.assert_allclose(changes[:, axis], moved, rtol=1e-6, atol=1e-15)
+
+
+def test_the_horizon_is_where_the_drop_hides_level_ground():
+    """From 2 m, sqrt(2 * 2 * 6371008.8 / 0.87) = 5412 m; ground as high as the eye has none."""
+    away_m = Curvature().horizon_m(np.array([2.0, 0.0, -1.0]))
+    assert away_m == pytest.approx([5412.0, 0.0, 0.0], abs=0.5)
