@@ -72,18 +72,18 @@ def cross_photos(task: CrossTask, listener: Listener) -> Crossed:
     terrain = read_terrain(listener, task.dem, task.crs)
     with Viewer(terrain) as viewer:
         rays = [
-            _ray(photo, pose, pixel, viewer, listener)
-            for photo, pose, pixel in zip(task.photos, task.poses, task.pixels, strict=True)
+            _ray(file, pose, pixel, viewer, listener)
+            for file, pose, pixel in zip(task.photos, task.poses, task.pixels, strict=True)
         ]
     found = cross(rays, viewer.curvature)
     assumed = joined_assumptions(ray.pose.assumed(ray.photo) for ray in rays)
     return _on_map(found, terrain, assumed)
 
 
-def _ray(photo: Path, pose: Path, pixel: Pixel, viewer: Viewer, listener: Listener) -> Ray:
+def _ray(file: Path, pose: Path, pixel: Pixel, viewer: Viewer, listener: Listener) -> Ray:
     """Return the ray of a photo's pixel."""
-    picture, noted = read_posed(photo, pose)
-    return Ray(pose=shown_pose(noted, viewer, listener), photo=picture.blank, pixel=pixel)
+    photo, noted = read_posed(file, pose)
+    return Ray(pose=shown_pose(noted, viewer, listener), photo=photo.blank, pixel=pixel)
 
 
 def _on_map(found: Crossing, terrain: HeightField, assumed: str) -> Crossed:

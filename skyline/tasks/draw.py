@@ -53,21 +53,21 @@ def draw_vectors(task: DrawTask, listener: Listener) -> list[str]:
     names = dem_names(task.dem)
     inputs = [task.photo, task.pose, task.vectors, *map(Path, map(on_disk, names))]
     check_outputs([task.output], inputs)
-    picture, noted = task.read()
-    photo = picture.blank
+    photo, noted = task.read()
+    blank = photo.blank
     vectors = read_vectors(task.vectors, task.photo, task.in_pixels)
     _check_kind(task, vectors, suffix)
     if vectors.of_qgis:
-        picture.check_upright(task.vectors)
+        photo.check_upright(task.vectors)
     if vectors.in_pixels:
-        vectors.check_photo(task.photo, photo.width_px, photo.height_px)
+        vectors.check_photo(task.photo, blank.width_px, blank.height_px)
     terrain = read_terrain(listener, names, task.crs)
     with Viewer(terrain) as viewer:
         pose = shown_pose(noted, viewer, listener)
-        view = viewer.ground_view(pose, photo)
+        view = viewer.ground_view(pose, blank)
         if not vectors.in_pixels:
             with listener.slow("drawing the map into the photo"):
-                return _into_photo(task, vectors, view, picture, suffix)
+                return _into_photo(task, vectors, view, photo, suffix)
         with listener.progress("following rays") as progress:
             found = []
             for number, shape in enumerate(vectors.shapes, start=1):
@@ -75,7 +75,7 @@ def draw_vectors(task: DrawTask, listener: Listener) -> list[str]:
                 progress(number, len(vectors.shapes))
     write_on_map(task.output, found, viewer.frame, task.photo)
     lines = [f"{task.output}: {_counted(len(found))} on the map", *_lines(found)]
-    return lines + assumed_lines(pose.assumed(photo))
+    return lines + assumed_lines(pose.assumed(blank))
 
 
 def _check_kind(task: DrawTask, vectors: Vectors, suffix: str) -> None:
@@ -91,23 +91,23 @@ def _check_kind(task: DrawTask, vectors: Vectors, suffix: str) -> None:
 
 
 def _into_photo(
-    task: DrawTask, vectors: Vectors, view: GroundView, picture: Photo, suffix: str
+    task: DrawTask, vectors: Vectors, view: GroundView, photo: Photo, suffix: str
 ) -> list[str]:
     """Write vectors of the map in the photo; return lines about it."""
-    photo = picture.blank
+    blank = photo.blank
     shapes = [in_photo(view, shape, view.terrain.frame) for shape in vectors.shapes]
-    parts = [one.parts(photo.width_px, photo.height_px) for one in shapes]
+    parts = [one.parts(blank.width_px, blank.height_px) for one in shapes]
     if not any(parts):
         raise InputError(
             f"{task.vectors}: nothing of it is in the photo; give vectors of what the camera saw, "
             "or a DEM that holds them"
         )
     if suffix in GEOJSON:
-        write_in_photo(task.output, shapes, task.photo, photo)
+        write_in_photo(task.output, shapes, task.photo, blank)
     else:
         from skyline.report.overlay import draw_shapes  # noqa: PLC0415  (slow to load)
 
-        write_whole(task.output, draw_shapes(photo, picture.rgb, shapes, LABEL_FILES[suffix]))
+        write_whole(task.output, draw_shapes(blank, photo.rgb, shapes, LABEL_FILES[suffix]))
     seen = sum(any(not hidden for _, hidden in some) for some in parts)
     hidden = sum(bool(some) for some in parts) - seen
     outside = len(parts) - seen - hidden

@@ -71,17 +71,17 @@ def label_photo(task: LabelTask, listener: Listener) -> list[str]:
             "the sun and the moon"
         )
     check_outputs([task.output], [task.photo, *filter(None, [task.pose, task.peaks])])
-    picture, noted = task.read()
-    photo = picture.blank if noted is not None else find_skyline(picture)
+    photo, noted = task.read()
+    skyline = photo.blank if noted is not None else find_skyline(photo)
     terrain = read_terrain(listener, task.dem, task.crs)
     gazetteer = None if task.peaks is None else read_peaks(task.peaks, terrain.frame)
     with Viewer(terrain, gazetteer) as viewer:
-        camera = _camera_of(task, photo, noted, viewer, listener)
+        camera = _camera_of(task, skyline, noted, viewer, listener)
         with listener.slow("looking for summits"):
-            seen = viewer.summits(camera.pose, photo)
-            bodies = _bodies(task, camera.pose, photo, viewer, listener)
-            unnamed = _write(task, picture.rgb, photo, camera, seen, bodies, viewer)
-            unseen = viewer.unseen(camera.pose, photo, seen)
+            seen = viewer.summits(camera.pose, skyline)
+            bodies = _bodies(task, camera.pose, skyline, viewer, listener)
+            unnamed = _write(task, photo.rgb, skyline, camera, seen, bodies, viewer)
+            unseen = viewer.unseen(camera.pose, skyline, seen)
     if gazetteer is None:
         names = " and ".join(f"the {one.name}" for one in bodies)
         return [f"in the photo: {names or 'neither the sun nor the moon'}"]
@@ -104,7 +104,7 @@ def _missing(unnamed: "UnnamedPeaks", unseen: UnseenPeaks) -> Iterator[str]:
 
 def _camera_of(
     task: LabelTask,
-    photo: PhotoSkyline,
+    skyline: PhotoSkyline,
     noted: NotedPose | None,
     viewer: Viewer,
     listener: Listener,
@@ -116,8 +116,8 @@ def _camera_of(
     if noted is not None:
         return _HeldCamera(shown_pose(noted, viewer, listener))
     with listener.slow("orienting the camera"), orienters(viewer.terrain) as orienter_at:
-        orienter = orienter_at(task.at.position_of(photo.noted, str(task.photo)))
-        found = orienter.orient(photo, name=str(task.photo), heading_deg=task.at.heading_deg)
+        orienter = orienter_at(task.at.position_of(skyline.noted, str(task.photo)))
+        found = orienter.orient(skyline, name=str(task.photo), heading_deg=task.at.heading_deg)
     if found.likely is None:
         raise InputError(
             f"{task.photo}: the camera's direction is not sure ({found.refusal}); say roughly "
@@ -129,12 +129,12 @@ def _camera_of(
 
 
 def _bodies(
-    task: LabelTask, pose: Pose, photo: PhotoSkyline, viewer: Viewer, listener: Listener
+    task: LabelTask, pose: Pose, skyline: PhotoSkyline, viewer: Viewer, listener: Listener
 ) -> list[SeenBody]:
     """Return the sun and the moon in a photo, noting any outside."""
     if task.time is None:
         return []
-    found = viewer.bodies(pose, photo, task.time)
+    found = viewer.bodies(pose, skyline, task.time)
     for body in set(Body) - {one.name for one in found}:
         disc = Sky(pose.lon, pose.lat, pose.eye_elevation_m).look(Body(body), task.time)
         listener.note(
@@ -147,7 +147,7 @@ def _bodies(
 def _write(
     task: LabelTask,
     rgb: UInt8Array,
-    photo: PhotoSkyline,
+    skyline: PhotoSkyline,
     camera: _HeldCamera,
     seen: list[SeenPeak],
     bodies: list[SeenBody],
@@ -165,9 +165,9 @@ def _write(
         records += [{name: getattr(one, name) for name in _BODY_COLUMNS} for one in bodies]
         write_whole(task.output, json.dumps(records, indent=1) + "\n")
         return UnnamedPeaks()
-    sight = viewer.look(camera.pose, photo) if task.ridges else None
+    sight = viewer.look(camera.pose, skyline) if task.ridges else None
     if confidence is not None:
         seen = [one.doubted(confidence) for one in seen]
-    picture, unnamed = draw_labels(photo, rgb, seen, sight, kind, bodies)
-    write_whole(task.output, picture)
+    drawn, unnamed = draw_labels(skyline, rgb, seen, sight, kind, bodies)
+    write_whole(task.output, drawn)
     return unnamed

@@ -68,20 +68,20 @@ def lay_photos(task: OrthoTask, listener: Listener) -> list[str]:
     check_outputs(outputs, [*task.photos, *task.poses, *map(Path, map(on_disk, names))])
     files = task.poses if len(task.poses) > 1 else [task.poses[0]] * len(task.photos)
     posed = [
-        read_posed(photo, file, task.projection)
-        for photo, file in zip(task.photos, files, strict=True)
+        read_posed(photo, pose, task.projection)
+        for photo, pose in zip(task.photos, files, strict=True)
     ]
     terrain = read_terrain(listener, names, task.crs)
     with Viewer(terrain) as viewer, listener.progress("laying photos") as progress:
         poses = [shown_pose(one, viewer, listener) for _, one in posed]
-        photos = [picture.blank for picture, _ in posed]
-        views = [viewer.ground_view(pose, photo) for pose, photo in zip(poses, photos, strict=True)]
+        blanks = [photo.blank for photo, _ in posed]
+        views = [viewer.ground_view(pose, blank) for pose, blank in zip(poses, blanks, strict=True)]
         grid = grid_of(views, task.resolution_m)
         whole = lay(views[0], posed[0][0].rgb, grid)
-        for number, (view, (picture, _)) in enumerate(zip(views, posed, strict=True)):
+        for number, (view, (photo, _)) in enumerate(zip(views, posed, strict=True)):
             progress(number, len(views))
             if number:
-                whole = mosaic([whole, lay(view, picture.rgb, grid)])
+                whole = mosaic([whole, lay(view, photo.rgb, grid)])
         progress(len(views), len(views))
     if not whole.is_seen.any():
         raise InputError("no cell of the ground is seen; give a finer resolution")
@@ -95,5 +95,5 @@ def lay_photos(task: OrthoTask, listener: Listener) -> list[str]:
         f"{float(np.median(seen)):.2g} m long on the ground, and its place good to "
         f"{place_sd_m(views, grid):.2g} m (medians)"
     )
-    assumed = (pose.assumed(photo) for pose, photo in zip(poses, photos, strict=True))
+    assumed = (pose.assumed(blank) for pose, blank in zip(poses, blanks, strict=True))
     return [line, *assumed_lines(*assumed)]

@@ -62,6 +62,6 @@ class CameraTask(PhotoTask):
         """
         if self.pose is not None:
             return read_posed(self.photo, self.pose, self.projection)
-        picture = read_photo(self.photo, self.fov_deg, projection=self.projection)
-        self.at.position_of(picture.noted, str(self.photo))  # Refused before the DEM is read
-        return picture, None
+        photo = read_photo(self.photo, self.fov_deg, projection=self.projection)
+        self.at.position_of(photo.noted, str(self.photo))  # Refused before the DEM is read
+        return photo, None

@@ -35,10 +35,10 @@ def place_pixels(task: PixelsTask, listener: Listener) -> PixelPlaces:
     check_outputs([task.output], [task.photo, task.pose, *map(Path, map(on_disk, names))])
     if suffix == ".tif":
         refuse_in_dem(task.output, task.dem)
-    picture, noted = task.read()
+    photo, noted = task.read()
     terrain = read_terrain(listener, names, task.crs)
     with listener.progress("following rays") as progress, Viewer(terrain) as viewer:
         pose = shown_pose(noted, viewer, listener)
-        places = viewer.places(pose, picture.blank, task.step, progress)
+        places = viewer.places(pose, photo.blank, task.step, progress)
     places.save(task.output, pose)
     return places

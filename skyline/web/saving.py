@@ -96,6 +96,6 @@ def _named(area: PageArea, photo: PagePhoto, pose: Pose) -> bytes:
     """Return the photo with the names of its summits, as PNG."""
     if area.peaks is None:
         raise InputError("no names are known; start skyline serve with --peaks FILE")
-    picture = opened(photo)[0]
-    seen = area.viewer.summits(pose, picture.blank)
-    return draw_labels(picture.blank, picture.rgb, seen)[0]
+    read = opened(photo)[0]
+    blank = read.blank
+    return draw_labels(blank, read.rgb, area.viewer.summits(pose, blank))[0]
