@@ -16,7 +16,7 @@ from skyline.errors import InputError
 from skyline.geodesy.bounds import Circle
 from skyline.geodesy.earth import Curvature
 from skyline.sun import Body, Sky, minutes_of
-from skyline.terrain.heightfield import HeightField
+from skyline.terrain.heightfield import HeightField, heights_along
 from skyline.terrain.summits import SUMMIT_RADIUS_M, summit_near
 
 DEFAULT_WITHIN_KM = 5.0
@@ -153,14 +153,11 @@ def _shadow_m(
     An eye at distance r behind the summit sees it under the body's tangent t if its ground is at
     summit - eye height - t r - drop(r).
     """
-    sine, cosine = np.sin(back_rad)[:, np.newaxis], np.cos(back_rad)[:, np.newaxis]
     slope = elevation_tan[:, np.newaxis]
 
     def over_m(away_m: Float64Array) -> Float64Array:
         """Return the heights of eyes (N, D) above the summit's line."""
-        ground_m = terrain.height_at(
-            easting_m=summit_m[0] + sine * away_m, northing_m=summit_m[1] + cosine * away_m
-        )
+        ground_m = heights_along(terrain, summit_m[0], summit_m[1], back_rad, away_m)
         line_m = summit_m[2] - slope * away_m - curvature.drop_m(away_m)
         return np.asarray(ground_m + eye_height_m - line_m)
 

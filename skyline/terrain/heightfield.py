@@ -378,6 +378,25 @@ def dem_of(field: HeightField) -> MetricDem:
     return MetricDem(field.heights_m, field._grid, field.frame, field.provenance)
 
 
+def heights_along(
+    field: HeightField,
+    easting_m: float,
+    northing_m: float,
+    azimuth_rad: Float64Array,
+    distance_m: Float64Array,
+) -> Float64Array:
+    """Return the surface's heights (K, D) along level rays from a position.
+
+    The rays have grid azimuths (K,); the distances are (D,) or (K, D), metres. NaN as in
+    `HeightField.height_at`.
+    """
+    across = azimuth_rad[:, np.newaxis]
+    return field.height_at(
+        easting_m=easting_m + distance_m * np.sin(across),
+        northing_m=northing_m + distance_m * np.cos(across),
+    )
+
+
 def ground_of(field: HeightField) -> Ground:
     """Return a field's heights as a `Ground`."""
     return lambda easting, northing: field.height_at(easting_m=easting, northing_m=northing)

@@ -12,7 +12,7 @@ import numpy as np
 from skyline.arrays import BoolArray, Float64Array, Int64Array
 from skyline.geodesy.earth import Curvature
 from skyline.progress import Progress
-from skyline.terrain.heightfield import HeightField
+from skyline.terrain.heightfield import HeightField, heights_along
 from skyline.terrain.viewpoints import Viewpoints
 
 _CROSSINGS_AT_ONCE = 400_000
@@ -78,10 +78,8 @@ def ground_elevation_deg(
     The rays have grid azimuths (K,); the horizontal distances are (D,) or (K, D). The angle is -90
     without data.
     """
-    ground_m = terrain.height_at(
-        easting_m=eye.easting_m[0] + distance_m * np.sin(grid_rad)[:, np.newaxis],
-        northing_m=eye.northing_m[0] + distance_m * np.cos(grid_rad)[:, np.newaxis],
-    )
+    position_m = eye.easting_m[0], eye.northing_m[0]
+    ground_m = heights_along(terrain, *position_m, grid_rad, distance_m)
     drop_m = eye.eye_elevation_m[0] + curvature.drop_m(distance_m)
     up_deg = np.degrees(np.arctan((ground_m - drop_m) / distance_m))
     return np.asarray(np.nan_to_num(up_deg, nan=-90.0))
@@ -146,10 +144,8 @@ def _met(
     far_m = (1.0 - 1e-12) * _border_m(field, eye, azimuth_rad)
     crossing_m, _ = edge_crossings_m(field, eye, azimuth_rad, np.zeros_like(far_m), far_m)
     away_m = np.sort(np.column_stack([crossing_m, np.zeros_like(far_m), far_m]), axis=1)
-    ground_m = field.height_at(
-        easting_m=eye.easting_m + away_m * np.sin(azimuth_rad)[:, np.newaxis],
-        northing_m=eye.northing_m + away_m * np.cos(azimuth_rad)[:, np.newaxis],
-    )
+    position_m = eye.easting_m[0], eye.northing_m[0]
+    ground_m = heights_along(field, *position_m, azimuth_rad, away_m)
     up_m = ground_m - eye.eye_elevation_m - curvature.drop_m(away_m)
     with np.errstate(divide="ignore", invalid="ignore"):
         tan = np.where((away_m > 0.0) & np.isfinite(up_m), up_m / away_m, -np.inf)

@@ -7,7 +7,7 @@ import numpy as np
 
 from skyline.arrays import Float64Array, IntArray
 from skyline.geodesy.earth import Curvature
-from skyline.terrain.heightfield import HeightField
+from skyline.terrain.heightfield import HeightField, heights_along
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,11 +64,7 @@ def ridges_around(
     """
     east_m, north_m, up_m = eye_m
     distance_m = _distances_m(terrain.spacing_m)
-    across = azimuth_rad[:, np.newaxis]
-    height_m = terrain.height_at(
-        easting_m=east_m + distance_m * np.sin(across),
-        northing_m=north_m + distance_m * np.cos(across),
-    )
+    height_m = heights_along(terrain, east_m, north_m, azimuth_rad, distance_m)
     tangent = (height_m - curvature.drop_m(distance_m) - up_m) / distance_m
     tangent = np.where(np.isnan(tangent), -np.inf, tangent)
     highest = np.maximum.accumulate(tangent, axis=1)
