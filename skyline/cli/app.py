@@ -140,8 +140,11 @@ def run_app(app: typer.Typer, terminal: Terminal | None = None) -> None:
     except _UsageError as error:
         if not error.format_message():
             sys.exit(2)  # A group of commands without a command has printed its help.
-        where = f"; see `{error.ctx.command_path} --help`" if error.ctx else ""
-        _fail(terminal, error.format_message().rstrip(".") + where, 2)
+        message = error.format_message().rstrip(".")
+        if error.ctx:
+            see = " See" if message.endswith("?") else "; see"
+            message += f"{see} `{error.ctx.command_path} --help`"
+        _fail(terminal, message, 2)
     except (KeyboardInterrupt, typer.Abort):
         _fail(terminal, terminal.stopped(), _INTERRUPTED)
     except MemoryError:

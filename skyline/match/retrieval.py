@@ -65,8 +65,9 @@ class RetrievalEffort:
     rough_least: int = 16_384
     """Least number of these places."""
     rough_most: int = 65_536
-    """Greatest number of these places. In six million places, no query came into a short list from
-    a rank beyond 13,198; what is ranked lower, rough fits lose."""
+    """Greatest number of these places. In six million places, none of 29 queries came into a short
+    list from a rank beyond 13,198. In nine tiles, twice as many places find one more of 27, for a
+    third more processor time with a short list twice as long."""
     turns: int = 3
     """Best turns of a place that screening passes on. Screening finds the right place more often
     than the right turn, since it knows neither the pitch nor where the eye stands."""
