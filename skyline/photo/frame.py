@@ -94,10 +94,13 @@ def frame_diagonal(frame: Size, sensor: Sensor | None) -> float:
 
     It is below 1 for a frame of another shape, such as 16:9 or a square, which has all columns or
     all rows of the sensor. A sensor that is not known has the frame's shape if any sensor has, and
-    else the usual one.
+    else the usual one. Frames wider than 16:9 count as whole, since they may be stitched: with a
+    wider range of lenses, an unmarked panorama was no longer told from a lens.
     """
     shape = max(frame) / min(frame)
     shapes = _SHAPES.of_sensors if sensor is None else (sensor.shape,)
+    if shape > (1.0 + _SHAPES.tolerance) * max(_SHAPES.of_cameras):
+        return 1.0
     if any(abs(shape / one - 1.0) <= _SHAPES.tolerance for one in shapes):
         return 1.0
     return cropped_diagonal(shapes[0], shape)

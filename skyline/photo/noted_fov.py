@@ -9,7 +9,7 @@ A digital zoom enlarges the middle of the frame. Apple's phones include it in th
 (Hugin's bug 2064625). Other phones (the same bug) and Olympus (Focus-Points' issue 253) do not. So
 a value has two readings, and where no other source says which one is right, both are possible.
 
-A photo of 16:9, of the shape of a screen or of a square is cut from a sensor of 4:3 or 3:2. The
+A photo of 16:9 or of a square is cut from a sensor of 4:3 or 3:2. The
 equivalent may compare the sensor's diagonal: a Galaxy S10's photo of 16:9 at a known place fits at
 36.9 degrees, which 52 mm are on the sensor's diagonal; on the photo's they are 39.9. Or it may
 compare the photo's: Apple computes it from the pixels (developer.apple.com/forums, thread 745938).

@@ -18,9 +18,8 @@ SPHERE = (Projection.EQUIRECTANGULAR, 360.0)
 PHOTO = np.full((100, 200, 3), 128, dtype=np.uint8)
 IN_SEGMENT = b"http://ns.adobe.com/xap/1.0/\0"
 MIB = 1 << 20
-LENS_DEG = 74.6
-"""Field of view of 24 mm: between 77.8 by the diagonal of a photo of 2:1 and 71.6 by a sensor
-of 4:3 that is as wide."""
+LENS_DEG = 77.8
+"""Field of view of 24 mm, of a photo of 2:1."""
 
 
 def exif_of_lens(equivalent_mm=24):
