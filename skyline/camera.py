@@ -100,7 +100,7 @@ class Projection(StrEnum):
 
     @property
     def _fov_hint(self) -> str:
-        """What errors say of the fields of view of this projection."""
+        """A hint for errors: which fields of view this projection has."""
         if self.is_panorama:
             return "a full turn is the most"
         if self is Projection.FISHEYE:

@@ -17,7 +17,7 @@ from skyline.photo.tags import positive
 from skyline.store.read import is_store
 
 _FORM = ("projection", "width_px", "height_px")
-"""What `skyline.photo.skyline.PhotoSkyline.form` has."""
+"""The keys of `skyline.photo.skyline.PhotoSkyline.form`."""
 
 
 @dataclass(frozen=True, slots=True)

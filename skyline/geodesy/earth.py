@@ -57,10 +57,10 @@ class Curvature:
         return self.drop_per_m2 * np.square(np.asarray(distance_m, dtype=np.float64))
 
     def horizon_m(self, below_m: FloatArray | float) -> Any:
-        """Return the distance of the horizon that level ground has.
+        """Return the distance, metres, of the horizon of level ground below an eye.
 
-        It lies so far below the eye, in metres; ground above the eye has its horizon at 0 m. Past
-        the horizon the drop hides it, so a flat plane has none. The dtype is the argument's.
+        The ground lies ``below_m`` metres below the eye. If it lies above, the distance is 0; on a
+        flat plane it is infinite. The dtype is the argument's.
         """
         return np.sqrt(np.maximum(below_m, 0.0) / self.drop_per_m2)
 
@@ -69,7 +69,7 @@ class Curvature:
     ) -> tuple[Float64Array, Float64Array, Float64Array]:
         """Return how an eye sees points: azimuths, tangents and distances.
 
-        The points (N,) are given by metres east, north and up from the eye. Azimuths are radians
+        The points (N,) lie so many metres east, north and up from the eye. Azimuths are radians
         from the map's north. The tangent of elevation is the height less the drop, over the
         horizontal distance, which is at least `_LEAST_AWAY_M`.
         """

@@ -1,4 +1,4 @@
-"""What a user knows of a photo's pose, to narrow its search."""
+"""Narrowings: what a user knows of a photo's pose before the search."""
 
 from dataclasses import dataclass
 

@@ -92,10 +92,10 @@ def frames_of(
 def frame_diagonal(frame: Size, sensor: Sensor | None) -> float:
     """Return the diagonal of a frame over the diagonal of the sensor that took it.
 
-    It is below 1 for a frame of another shape, such as 16:9 or a square, which has all columns or
-    all rows of the sensor. A sensor that is not known has the frame's shape if any sensor has, and
-    else the usual one. Frames wider than 16:9 count as whole, since they may be stitched: with a
-    wider range of lenses, an unmarked panorama was no longer told from a lens.
+    It is below 1 for a frame of another shape, such as 16:9 or a square, which keeps all columns or
+    all rows of the sensor. An unknown sensor is taken to have the frame's shape if sensors of that
+    shape exist, and otherwise the usual one. A frame wider than 16:9 counts as whole: it may be a
+    panorama, and one was no longer recognized when such frames had two readings.
     """
     shape = max(frame) / min(frame)
     shapes = _SHAPES.of_sensors if sensor is None else (sensor.shape,)

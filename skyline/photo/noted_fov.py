@@ -9,10 +9,11 @@ A digital zoom enlarges the middle of the frame. Apple's phones include it in th
 (Hugin's bug 2064625). Other phones (the same bug) and Olympus (Focus-Points' issue 253) do not. So
 a value has two readings, and where no other source says which one is right, both are possible.
 
-A photo of 16:9 or of a square is cut from a sensor of 4:3 or 3:2. The
-equivalent may compare the sensor's diagonal: a Galaxy S10's photo of 16:9 at a known place fits at
-36.9 degrees, which 52 mm are on the sensor's diagonal; on the photo's they are 39.9. Or it may
-compare the photo's: Apple computes it from the pixels (developer.apple.com/forums, thread 745938).
+A square photo or one of 16:9 is cut from a sensor of 4:3 or 3:2, and its equivalent has two
+readings as well. Some phones compare the sensor's diagonal: a Galaxy S10's photo of 16:9 fits its
+known place at 36.9 degrees, and 52 mm are 36.8 degrees by the sensor's diagonal, 39.9 by the
+photo's. Others compare the photo's: Apple computes the equivalent from the photo's pixels
+(developer.apple.com/forums, thread 745938).
 
 A crop mode reads the middle of the sensor. Nikon includes it in the equivalent (Focus-Points' issue
 252), Canon only in the focal plane. So a photo shows at most the whole sensor of its camera.
@@ -25,7 +26,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import timedelta
 from itertools import combinations, product
-from math import atan, degrees, exp, hypot, log, radians, sin, sqrt
+from math import degrees, exp, hypot, log, radians, sin, sqrt
 
 from PIL.ExifTags import Base
 
@@ -144,8 +145,8 @@ class _FocalLength:
 
 
 _Source = tuple[_FocalLength, ...]
-"""The readings of a source: several if it may include a digital zoom or not, or if it may compare
-the photo's diagonal or the sensor's."""
+"""The readings of a source: more than one if it may or may not include a digital zoom, or if it may
+compare the photo's diagonal or the sensor's."""
 
 
 def _fov_deg(width: float, diagonals: float) -> float:
@@ -153,7 +154,7 @@ def _fov_deg(width: float, diagonals: float) -> float:
 
     Its width and the focal length are in diagonals of the frame.
     """
-    return 2.0 * degrees(atan(width / 2.0 / diagonals))
+    return float(Projection.PERSPECTIVE.fov_deg(width / 2.0 / diagonals))
 
 
 def _was_cropped(xmp: Xmp) -> bool:
@@ -302,9 +303,9 @@ def _focal_lengths(
 
 
 def _of_frame_or_sensor(noted: _FocalLength, of_sensor: float) -> _Source:
-    """Return what an equivalent may mean if a frame is cut from another shape.
+    """Return the readings of an equivalent whose diagonal is not known.
 
-    The diagonal that it compares may be the frame's or the sensor's.
+    It is the frame's or the sensor's; the two differ where the frame is cut from the sensor.
     """
     if of_sensor == 1.0:
         return (noted,)

@@ -43,21 +43,22 @@ class Lens:
     crop_share: float = 0.0
 
     def beside_border(self, share: float) -> Lens:
-        """Return the lens of a file that is wider than its photo, by a factor."""
+        """Return the lens of a file that is ``share`` times as wide as its photo."""
         if self.fov_deg is None:
             return self
 
-        def wide_deg(fov_deg: float) -> float:
-            return 2.0 * math.degrees(math.atan(share * math.tan(math.radians(fov_deg) / 2.0)))
+        def widened_deg(fov_deg: float) -> float:
+            pin_hole = Projection.PERSPECTIVE
+            return float(pin_hole.fov_deg(share * pin_hole.half_width(fov_deg)))
 
-        fov_deg = wide_deg(self.fov_deg)
-        # Half the tangent's logarithm has the same error.
+        fov_deg = widened_deg(self.fov_deg)
+        # The border does not change the error of the half width's logarithm.
         grown = math.sin(math.radians(fov_deg)) / math.sin(math.radians(self.fov_deg))
         return replace(
             self,
             fov_deg=fov_deg,
-            fov_sd_deg=self.fov_sd_deg and grown * self.fov_sd_deg,
-            most_fov_deg=self.most_fov_deg and wide_deg(self.most_fov_deg),
+            fov_sd_deg=None if self.fov_sd_deg is None else grown * self.fov_sd_deg,
+            most_fov_deg=None if self.most_fov_deg is None else widened_deg(self.most_fov_deg),
             reason=f"{self.reason}; the photo stands in a border",
         )
 
@@ -159,7 +160,7 @@ class PhotoSkyline:
 
     @property
     def form(self) -> dict[str, str | int]:
-        """Projection and size of the photo, as records of its pose have them."""
+        """The photo's projection and size, by the keys of a pose's record."""
         return {
             "projection": str(self.projection),
             "width_px": self.width_px,
