@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from skyline.arrays import Float32Array, IntArray
+from skyline.arrays import Float32Array, Float64Array, IntArray
 from skyline.files import version_of
 from skyline.match.areas import terrain_at_hand
 from skyline.match.fit import FitEffort
@@ -21,7 +21,7 @@ from skyline.match.prior import Prior
 from skyline.match.rays import Rays
 from skyline.match.screen import Alike, Screen, Turns
 from skyline.match.search import one_blas_thread
-from skyline.match.shard import LocalShard, Starts
+from skyline.match.shard import LocalShard, Neighbours, Starts
 from skyline.pose import Poses
 from skyline.progress import StepProgress, silent
 from skyline.store.layout import PLACES_A_CHUNK
@@ -63,11 +63,14 @@ class OpenAreas:
                     terrain = file.header.read_dem(dem)
                 ground = None if terrain is None else ground_of(terrain)
                 self._areas.append((file.places(), ground))
+        self._shards: dict[Part, LocalShard] = {}
 
     def shard(self, part: Part) -> LocalShard:
-        """Return a part of an area."""
-        places, ground = self._areas[part.area]
-        return LocalShard(PartOfPlaces(places, part.first, part.stop), ground)
+        """Return a part of an area, the same shard each time."""
+        if part not in self._shards:
+            places, ground = self._areas[part.area]
+            self._shards[part] = LocalShard(PartOfPlaces(places, part.first, part.stop), ground)
+        return self._shards[part]
 
     def close(self) -> None:
         """Free nothing: the files are mapped."""
@@ -117,6 +120,11 @@ class DistantShard:
         """See `Shard.best_turns`."""
         turns: Turns = self._ask("best_turns", screen, rows, count)
         return turns
+
+    def nearest(self, place_m: Float64Array, count: int) -> Neighbours:
+        """See `Shard.nearest`."""
+        found: Neighbours = self._ask("nearest", place_m, count)
+        return found
 
     def fitted(
         self, rays: Rays, starts: Starts, effort: FitEffort, report: StepProgress = silent

@@ -21,7 +21,7 @@ from skyline.arrays import BoolArray, Float32Array, Float64Array, FloatArray
 from skyline.camera import near_level_changes
 from skyline.match.rays import REFERENCE_FOV_DEG, Rays
 from skyline.pose import Poses
-from skyline.store.places import Places
+from skyline.store.places import BINS, Places
 
 _HEADING, _PITCH, _ROLL, _LOG_SCALE, _EAST, _NORTH, _WANDER = range(7)
 """Columns of a fitted state: heading from grid north, pitch and roll, radians; `Rays.log_scale`;
@@ -108,9 +108,9 @@ class CurveFit:
         self._ground_slope = ground_slope
         self._rays = rays
         self._effort = effort
-        self._y = places.elevation_tan()
+        self._y = _closed(places.elevation_tan())
         nearness = 1.0 / places.distance_m()
-        self._nearness = np.where(np.isfinite(nearness), nearness, np.float32(0.0))
+        self._nearness = _closed(np.where(np.isfinite(nearness), nearness, np.float32(0.0)))
         self._deviation_m = (places.tolerance_m / np.float32(np.sqrt(3.0)))[:, np.newaxis]
         self._wander = rays.wander.astype(np.float32)
         self._prior = self._inverse_variances()
@@ -171,22 +171,24 @@ class CurveFit:
         The skylines are tangents, slopes and inverse distances. Tangents are linear between bins,
         and slopes NaN where no skyline is stored.
         """
-        count, bins = self._y.shape
+        count, bins = len(self._y), BINS
         position = azimuth * np.float32(bins / (2.0 * np.pi)) - np.float32(0.5)
-        left = np.floor(position)
+        # A remainder of floats is ten times as fast as one of integers.
+        position -= np.float32(bins) * np.floor(position / np.float32(bins))
+        # The azimuths of a fit that failed are not numbers; they index, too.
+        position = np.fmin(position, np.float32(bins))
+        left = np.minimum(np.floor(position), np.float32(bins - 1))
         share = position - left
-        row = (np.arange(count) * bins)[:, np.newaxis]
-        begin = row + left.astype(np.intp) % bins
-        end = row + (left.astype(np.intp) + 1) % bins
+        begin = left.astype(np.intp) + (np.arange(count) * (bins + 1))[:, np.newaxis]
         profile = self._y.ravel()[begin]
-        rise = self._y.ravel()[end] - profile
+        rise = self._y.ravel()[begin + 1] - profile
         slope = rise * np.float32(bins / (2.0 * np.pi))
         known = np.isfinite(rise)
         rise = np.where(known, rise, np.float32(0.0))
         profile = np.where(known, profile, np.float32(0.0)) + share * rise
-        coarse = self._nearness.shape[1]
-        run = np.floor((position + np.float32(0.5)) * np.float32(coarse / bins)).astype(np.intp)
-        nearness = self._nearness.ravel()[(np.arange(count) * coarse)[:, np.newaxis] + run % coarse]
+        runs = self._nearness.shape[1]
+        run = ((position + np.float32(0.5)) * np.float32((runs - 1) / bins)).astype(np.intp)
+        nearness = self._nearness.ravel()[run + (np.arange(count) * runs)[:, np.newaxis]]
         return profile, slope, nearness
 
     def _weight(self, state: Float32Array, misses: _Misses, scale_deg: float) -> Float32Array:
@@ -256,3 +258,8 @@ class CurveFit:
         unlikely = (unlikely + self._rays.lens.cost(state[:, _LOG_SCALE])) / self._effort.runs
         mean = (off * self._rays.weight.astype(np.float32)).mean(axis=1)
         return np.asarray(mean + unlikely, dtype=np.float32)
+
+
+def _closed(curve: FloatArray) -> FloatArray:
+    """Return curves (M, B) all the way round, followed by their first values."""
+    return np.concatenate([curve, curve[:, :1]], axis=1)

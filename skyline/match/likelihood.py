@@ -47,7 +47,10 @@ class ErrorModel:
     range_rad: float = np.radians(15.0)
     """Largest residual of a column that does not show terrain."""
     beyond_share: float = 0.3
-    """Prior probability that terrain past the data's edge rises in a column where it may."""
+    """Greatest share of the columns where terrain past the data's edge may rise in which it does.
+    Neighbouring columns share that terrain, so each pose has a share of its own."""
+    share_rounds: int = 4
+    """Rounds in which this share is found: each moves it most of the way."""
     least_rise_sds: float = 0.1
     """Smallest rise that is distinguished from none, in standard deviations of the errors."""
     least_factor: float = 0.1
@@ -237,9 +240,14 @@ def likelihood(
         log_other = np.where(limited, np.log(density), log_other)
     if open_.any():
         sd_rad = np.sqrt(variance + spread)
-        hidden, density = _raised(off, errors.beyond_rad, sd_rad, _MODEL.beyond_share)
-        bare = np.where(open_, bare * (1.0 - hidden), bare)
-        either = np.exp(log_other) * (1.0 - hidden) + scale * density
+        hidden, density = _raised(off, errors.beyond_rad, sd_rad, 1.0)
+        density = scale * density
+        other = np.exp(log_other)
+        seen = bare * scale / np.sqrt(2.0 * np.pi * variance)
+        seen = seen * np.exp(-0.5 * (off**2 + spread) / variance) + other
+        share = _beyond_share(trust * (open_ & known), hidden, density, seen)
+        bare = np.where(open_, bare * (1.0 - share * hidden), bare)
+        either = other * (1.0 - share * hidden) + share * density
         log_other = np.where(open_, np.log(either), log_other)
     log_peak = np.log(bare) - 0.5 * np.log(2.0 * np.pi * variance / scale**2)
     log_terrain = log_peak - 0.5 * (off**2 + spread) / variance
@@ -296,6 +304,27 @@ def _raised(
     within = ndtr(off_rad / sd_rad) - ndtr((off_rad - rise_rad) / sd_rad)
     raised = share * rise_rad / (rise_rad + 2.0 * sd_rad)
     return raised, raised * np.asarray(within / rise_rad)
+
+
+def _beyond_share(
+    trust: Float64Array, hidden: Float64Array, density: Float64Array, seen: Float64Array
+) -> Float64Array:
+    """Return the share (M, 1) of open columns in which terrain past the edge rises.
+
+    It is the likeliest share of at most `ErrorModel.beyond_share`. If each column had that prior
+    by itself, a right pose that looks across the edge at nothing higher would seem unlikely.
+    ``trust`` (M, R) is 0 where no such terrain may rise. In a column it rises with the probability
+    ``hidden`` times the share, and with ``density`` times the share; ``seen`` is the density
+    without it.
+    """
+    count = np.maximum(trust.sum(axis=1, keepdims=True), 1e-12)
+    share = np.full_like(count, _MODEL.beyond_share)
+    for _ in range(_MODEL.share_rounds):
+        risen = share * density
+        probability = risen / (risen + (1.0 - share * hidden) * seen)
+        share = (trust * probability).sum(axis=1, keepdims=True) / count
+        share = np.minimum(share, _MODEL.beyond_share)
+    return np.asarray(share)
 
 
 def _explained(

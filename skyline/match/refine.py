@@ -71,7 +71,7 @@ class Moves:
     """Moves of the likeliest poses before they are compared with others."""
     restart_rounds: int = 3
     """Renderings of each place on the rings where the search restarts."""
-    restarts_m: tuple[float, ...] = (10.0, 30.0)
+    restarts_m: tuple[float, ...] = (10.0, 30.0, 90.0)
     """Radii of these rings: a near slope is found from 10 to 20 m away, a far one from farther."""
     first_step_m: float = 40.0
     """Standard deviation with which the first step is damped."""

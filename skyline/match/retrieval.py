@@ -27,7 +27,7 @@ from skyline.match.posterior import AlikePlaces
 from skyline.match.prior import NOTHING_KNOWN, Prior
 from skyline.match.rays import REFERENCE_FOV_DEG, Rays
 from skyline.match.screen import Alike, Screen, Turns
-from skyline.match.shard import Shard, Starts
+from skyline.match.shard import Neighbours, Shard, Starts
 from skyline.pose import Poses
 from skyline.progress import StepProgress, silent
 from skyline.store.places import Places
@@ -64,10 +64,9 @@ class RetrievalEffort:
     """Share of all places from which the last short list is made."""
     rough_least: int = 16_384
     """Least number of these places."""
-    rough_most: int = 65_536
-    """Greatest number of these places. Among six million places, none of 29 queries came into a
-    short list from a rank beyond 13,198. Among 2.6 million, lists of twice as many places and poses
-    found one more of 27 queries, and took a third more processor time."""
+    rough_most: int = 131_072
+    """Greatest number of these places. Among 2.6 million places, half as many lost 2 of 54 queries
+    that these find, and took four fifths of the processor time."""
     turns: int = 3
     """Best turns of a place that screening passes on. Screening finds the right place more often
     than the right turn, since it knows neither the pitch nor where the eye stands."""
@@ -80,6 +79,11 @@ class RetrievalEffort:
     every pose is fitted well, so the short list lacks none of them."""
     good_most: int = 8192
     """Greatest number of good fits."""
+    climbing_share: float = 0.1
+    """Share of the good fits, the best distinct ones, from which the last short list climbs. A
+    place beside a pose's own may be more like the photo, though screening passed over it."""
+    beside: int = 7
+    """Places next to such a pose that it is fitted to: its own and those around it."""
     separation_m: float = 30.0
     """A pose nearer to a better one that looks the same way is left out of the short list."""
     same_turn_deg: float = 20.0
@@ -202,17 +206,20 @@ class Retriever:
         earlier lists compete again for a place in later ones. A list is empty where no fitted pose
         lies within the narrowing. Raises `InputError` where the search is narrowed to no place.
         """
-        best: list[Poses] = []
+        starts: list[Starts] = []
+        fitted: list[Poses] = []
         counts = (_EFFORT.first, self._rough)
         for alike in self._screened([self._screens(rays, prior)], [prior], counts, report):
-            starts = math.ceil(_EFFORT.starts * len(alike))
-            start = self._start(rays, prior, alike, starts)
-            fitted = self._fitted([rays], [start], _good_count(len(start)), report)[0]
-            best.append(fitted[self.allowed(prior, fitted)])
-            poses = Poses.concatenate(best)
-            distinct = poses.suppress_non_maxima(count, _EFFORT.separation_m, _EFFORT.same_turn_deg)
-            best = [poses[distinct]]
-            yield best[0]
+            start = self._start(rays, prior, alike, math.ceil(_EFFORT.starts * len(alike)))
+            starts += self._promising([rays], [start], _good_count(len(start)), report)
+            fitted.append(self._fits(rays, starts[-1], GOOD_FIT, report))
+            poses = Poses.concatenate(fitted)
+            if len(fitted) > 1:
+                beside = self._beside(rays, Starts.concatenate(starts), poses)
+                climbed = self._fits(rays, beside, GOOD_FIT, report)
+                poses = Poses.concatenate([poses, climbed])
+            poses = poses[self.allowed(prior, poses)]
+            yield poses[_distinct(poses, count)]
 
     def _screened(
         self,
@@ -392,6 +399,45 @@ class Retriever:
             log_scale=log_scales[found.fov.ravel()[best]],
         )
 
+    def _beside(self, rays: Rays, starts: Starts, fitted: Poses) -> Starts:
+        """Return the starts of fits beside the best poses.
+
+        ``fitted`` are the poses fitted from ``starts``. The new starts are the poses themselves, at
+        the places next to them.
+        """
+        best = _distinct(fitted, math.ceil(_EFFORT.climbing_share * len(fitted)))
+        poses = fitted[best]
+        near = self._nearest(poses, _EFFORT.beside)
+        pose, rank = np.nonzero(np.isfinite(near.distance_m))
+        return Starts(
+            row=near.row[pose, rank],
+            score=starts.score[best][pose],
+            grid_heading_rad=np.radians(poses.grid_heading_deg)[pose],
+            log_scale=rays.log_scale(poses.fov_deg)[pose],
+        )
+
+    def _nearest(self, poses: Poses, count: int) -> Neighbours:
+        """Return the ``count`` places of each pose's area that are nearest to it."""
+        place_m = np.stack([poses.easting_m, poses.northing_m], axis=1)
+        row = np.zeros((len(poses), count), dtype=np.intp)
+        distance_m = np.full(row.shape, np.inf)
+
+        def nearest(number: int, mine: IntArray) -> Neighbours:
+            found = self._shards[number].nearest(place_m[mine], count)
+            return replace(found, row=found.row + self._first[number])
+
+        areas = poses.areas()
+        for area in np.unique(areas):
+            mine = np.flatnonzero(areas == area)
+            shards = np.flatnonzero(self._area == area).tolist()
+            parts = list(self._asked(partial(nearest, number, mine) for number in shards))
+            rows = np.concatenate([part.row for part in parts], axis=1)
+            distances_m = np.concatenate([part.distance_m for part in parts], axis=1)
+            order = np.argsort(distances_m, axis=1, kind="stable")[:, :count]
+            row[mine] = np.take_along_axis(rows, order, axis=1)
+            distance_m[mine] = np.take_along_axis(distances_m, order, axis=1)
+        return Neighbours(row=row, distance_m=distance_m)
+
     def _fitted(
         self,
         photos: Sequence[Rays],
@@ -399,21 +445,30 @@ class Retriever:
         count: int,
         report: StepProgress,
     ) -> list[Poses]:
-        """Return the photos' poses fitted well from the ``count`` best common starts.
-
-        If there are more starts, rough fits choose the best.
-        """
-        if count < len(starts[0]):
-            rough = [
-                self._fits(rays, start, ROUGH_FIT, report)
-                for rays, start in zip(photos, starts, strict=True)
-            ]
-            best = np.sort(np.argsort(_total(rough), kind="stable")[:count])
-            starts = [start[best] for start in starts]
+        """Return the photos' poses fitted well from the ``count`` most promising starts."""
         return [
             self._fits(rays, start, GOOD_FIT, report)
+            for rays, start in zip(
+                photos, self._promising(photos, starts, count, report), strict=True
+            )
+        ]
+
+    def _promising(
+        self,
+        photos: Sequence[Rays],
+        starts: Sequence[Starts],
+        count: int,
+        report: StepProgress,
+    ) -> Sequence[Starts]:
+        """Return the photos' ``count`` common starts whose rough fits are best, in order."""
+        if count >= len(starts[0]):
+            return starts
+        rough = [
+            self._fits(rays, start, ROUGH_FIT, report)
             for rays, start in zip(photos, starts, strict=True)
         ]
+        best = np.sort(np.argsort(_total(rough), kind="stable")[:count])
+        return [start[best] for start in starts]
 
     def _fits(self, rays: Rays, starts: Starts, effort: FitEffort, report: StepProgress) -> Poses:
         """Return the poses fitted from starts, in order.
@@ -433,6 +488,11 @@ class Retriever:
 def _report_part(report: StepProgress, done: float, share: float, step: str, part: float) -> None:
     """Report part of a shard's work as a share of all work."""
     report(step, done + share * part)
+
+
+def _distinct(poses: Poses, count: int) -> IntArray:
+    """Return the indices of up to ``count`` poses that differ from one another, best first."""
+    return poses.suppress_non_maxima(count, _EFFORT.separation_m, _EFFORT.same_turn_deg)
 
 
 def _good_count(rough: int) -> int:

@@ -9,7 +9,8 @@ import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import Protocol
+from functools import cached_property
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -33,6 +34,9 @@ from skyline.store.mapped_places import PlaceSource
 from skyline.store.places import Places
 from skyline.terrain.heightfield import Ground, ground_slope
 
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
+
 _FITS_AT_ONCE = 2048
 """Poses fitted together. With 256, two threads spend half their time waiting for the GIL."""
 
@@ -49,6 +53,16 @@ class Starts(Rows):
     """(N,) float64. From grid north."""
     log_scale: Float64Array
     """(N,) float64. `Rays.log_scale` of the field of view."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Neighbours(Rows):
+    """The C places that are nearest to each of M points, nearest first."""
+
+    row: IntArray
+    """(M, C) intp. Row of the place."""
+    distance_m: Float64Array
+    """(M, C) float64. Horizontal distance; infinite where there are fewer places."""
 
 
 class Shard(Protocol):
@@ -84,6 +98,9 @@ class Shard(Protocol):
 
     def best_turns(self, screen: Screen, rows: IntArray, count: int) -> Turns:
         """Return the best turns of places (M,)."""
+
+    def nearest(self, place_m: Float64Array, count: int) -> Neighbours:
+        """Return the ``count`` places that are nearest to eastings and northings (M, 2)."""
 
     def fitted(
         self, rays: Rays, starts: Starts, effort: FitEffort, report: StepProgress = silent
@@ -153,6 +170,20 @@ class LocalShard:
 
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             return Turns.concatenate(list(pool.map(turns_from, groups)))
+
+    @cached_property
+    def _tree(self) -> "cKDTree":
+        """The tree of all places, some 30 bytes a place; neither sort is worth its time."""
+        from scipy.spatial import cKDTree  # noqa: PLC0415  (slow to load, seldom needed)
+
+        columns = [np.stack([one.easting_m, one.northing_m], 1) for one in self._places.blocks()]
+        place_m = np.concatenate([np.zeros((0, 2)), *columns])
+        return cKDTree(place_m, balanced_tree=False, compact_nodes=False)
+
+    def nearest(self, place_m: Float64Array, count: int) -> Neighbours:
+        """See `Shard.nearest`."""
+        distance_m, row = self._tree.query(place_m, k=range(1, count + 1))
+        return Neighbours(row=np.asarray(row), distance_m=np.asarray(distance_m))
 
     def fitted(
         self, rays: Rays, starts: Starts, effort: FitEffort, report: StepProgress = silent

@@ -12,6 +12,7 @@ from place_scenes import AZIMUTH_DEG, curve, photo, places_of, rays
 from ray_scenes import equally_trusted, swept
 
 from skyline.errors import InputError
+from skyline.match import retrieval
 from skyline.match.lens_prior import LensPrior
 from skyline.match.narrowing import Narrowing
 from skyline.match.prior import NOTHING_KNOWN, Prior
@@ -195,6 +196,16 @@ def test_threads_change_nothing(monkeypatch):
 
     for one, several in zip(costs(1), costs(5), strict=True):
         np.testing.assert_array_equal(one, several)
+
+
+def test_fits_climb_to_places_beside_that_screening_passed_over(places, monkeypatch):
+    """Screening passes two places on. Beside the better one are three to the west and three to the
+    east."""
+    few = replace(retrieval._EFFORT, first=1, rough_least=2, rough_most=2, good_least=2)
+    monkeypatch.setattr(retrieval, "_EFFORT", few)
+    first, last = retriever_of(places).shortlists(rays(10, 77.0), 100)
+    assert set(np.rint(first.easting_m / 100.0)) == {10}
+    assert set(np.rint(last.easting_m / 100.0)) >= {7, 8, 9, 10, 11, 12, 13}
 
 
 @pytest.mark.parametrize("reports", [1, 2, 5])
