@@ -173,7 +173,7 @@ class CurveFit:
         """
         count, bins = len(self._y), BINS
         position = azimuth * np.float32(bins / (2.0 * np.pi)) - np.float32(0.5)
-        # A remainder of floats is ten times as fast as one of integers.
+        # Remainders of integers would take as long as all that follows.
         position -= np.float32(bins) * np.floor(position / np.float32(bins))
         # The azimuths of a fit that failed are not numbers; they index, too.
         position = np.fmin(position, np.float32(bins))

@@ -214,11 +214,12 @@ class Retriever:
             starts += self._promising([rays], [start], _good_count(len(start)), report)
             fitted.append(self._fits(rays, starts[-1], GOOD_FIT, report))
             poses = Poses.concatenate(fitted)
+            is_allowed = self.allowed(prior, poses)
+            poses = poses[is_allowed]
             if len(fitted) > 1:
-                beside = self._beside(rays, Starts.concatenate(starts), poses)
+                beside = self._beside(rays, Starts.concatenate(starts)[is_allowed], poses)
                 climbed = self._fits(rays, beside, GOOD_FIT, report)
-                poses = Poses.concatenate([poses, climbed])
-            poses = poses[self.allowed(prior, poses)]
+                poses = Poses.concatenate([poses, climbed[self.allowed(prior, climbed)]])
             yield poses[_distinct(poses, count)]
 
     def _screened(
