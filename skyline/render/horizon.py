@@ -153,8 +153,9 @@ class RenderedScene:
 
     def _load(self) -> None:
         for renderer in self._renderers:
-            # What fails here fails again, and is raised, when the scene renders.
-            with suppress(SkylineError, OSError, MemoryError):
+            # What fails here fails again, and is raised, when the scene renders. A program that
+            # ends meanwhile starts no threads, which is a RuntimeError.
+            with suppress(SkylineError, OSError, MemoryError, RuntimeError):
                 self._run(renderer.load)
 
     def _run(self, task: Callable[[], _T], urgent: bool = False) -> _T:

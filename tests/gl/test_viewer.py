@@ -1,6 +1,8 @@
 """Skylines and summits at poses, fits from poses set by hand, and rendering for many threads."""
 
 import math
+import subprocess
+import sys
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
@@ -29,6 +31,29 @@ def matcher(store):
 def skyline(photo):
     """The photo's skyline."""
     return read_skyline(photo, 60.0)
+
+
+ENDS_WHILE_LOADING = """
+import sys, time
+from concurrent.futures import thread
+from skyline import read_dem
+from skyline.render import horizon
+
+class Late(horizon.HorizonRenderer):
+    def load(self):
+        while not thread._shutdown:
+            time.sleep(0.01)
+        super().load()
+
+horizon.HorizonRenderer = Late
+horizon.RenderedScene(read_dem(sys.argv[1:]), horizon.RenderConfig())
+"""
+
+
+def test_a_program_that_ends_while_terrain_is_loaded_prints_nothing(dem):
+    command = [sys.executable, "-c", ENDS_WHILE_LOADING, str(dem)]
+    done = subprocess.run(command, capture_output=True, check=True, text=True, timeout=120)
+    assert done.stderr == ""
 
 
 def true_pose(viewer, frame, **other):
