@@ -137,16 +137,20 @@ class Prior:
 
         The hint is given if the swapped narrowing would meet the rectangle around the places.
         """
-        near = self.narrowing.near
-        bounds = self.narrowing.bounds_deg
-        for given in (near and near[:2], bounds):
-            if given is None or self.frame is None:
+        given: list[tuple[Sequence[float], float]] = []
+        if self.narrowing.near is not None:
+            *place, radius_km = self.narrowing.near
+            given.append((place, 1000.0 * radius_km))
+        if self.narrowing.bounds_deg is not None:
+            given.append((self.narrowing.bounds_deg, 0.0))
+        for degrees, reach_m in given:
+            if self.frame is None:
                 continue
-            lat, lon = np.reshape(given, (-1, 2)).T
+            lat, lon = np.reshape(degrees, (-1, 2)).T
             east_m, north_m = self.frame.from_lonlat(lon, lat)
             pairs = (east_m, places.easting_m), (north_m, places.northing_m)
-            if all(a.min() <= b.max() and b.min() <= a.max() for a, b in pairs):
-                return f"; {swapped_in_words(*given)}"
+            if all(a.min() - reach_m <= b.max() and b.min() <= a.max() + reach_m for a, b in pairs):
+                return f"; {swapped_in_words(*degrees)}"
         return ""
 
 

@@ -4,12 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from place_scenes import places_of
 from ray_scenes import hills, panorama_of, poses, rays_of, seen
+from scenes import FRAME
 from scipy.integrate import quad
 
 from skyline.match.eye_prior import EyeHeightPrior, KnownGround, Standing
 from skyline.match.narrowing import Narrowing
 from skyline.match.position_prior import PositionPrior
+from skyline.match.prior import Prior
 from skyline.match.solver import FINE, Curves, Solver
 from skyline.photo.noted_place import NotedPlace
 
@@ -68,6 +71,17 @@ def test_a_step_is_pulled_to_the_noted_place(prior):
 def test_no_eye_is_lower_than_a_camera_is_held():
     assert EyeHeightPrior(2.0, 5.0).range_m == (0.3, 102.0)
     assert EyeHeightPrior(0.0, 0.0).range_m == (0.0, 0.0)
+
+
+def test_a_circle_swapped_is_named_if_it_meets_the_places_though_its_middle_does_not():
+    """The places lie at 46.8; a degree of latitude is 111 km."""
+    places = places_of(np.zeros((2, 360)), spacing_m=100.0)
+    near, far = (
+        Prior.of(Narrowing(near=(46.8 + north_deg, 9.8, 2.0)), FRAME).swap_hint(places)
+        for north_deg in (0.01, 0.02)
+    )
+    assert near == "; longitude and latitude seem to be swapped: give 9.8,46.81"
+    assert far == ""
 
 
 def standings(noted, relief_m=0.0, takeoff_relief_m=10.0):
