@@ -15,7 +15,7 @@ from typer import Argument, Option
 
 from skyline import Matcher, build_places, read_dem, stand_at
 from skyline.errors import MissingFileError
-from skyline.files import write_whole
+from skyline.files import check_folder, write_whole
 from skyline.render.depth import DepthRenderer
 from skyline.report.match_page import report_matches
 from skyline.survey.plans import map_bounds
@@ -39,6 +39,7 @@ SAMPLE_BOUNDS_DEG = (-84.29, 36.55, -84.20, 36.62)
 """The part of matplotlib's sample terrain in which pictures and pages are matched."""
 _PICTURE_CAMERA = Camera(220.0, pitch_deg=7.0, roll_deg=1.0, fov_deg=60.0)
 _HEIGHT_PX = 560
+_JPEG = ".jpg", ".jpeg"
 
 
 def figures(
@@ -72,14 +73,26 @@ def figures(
         _write_pages(out or Path())
         return
     if not folder.is_dir():
-        raise MissingFileError(f"{folder} is no folder; expected a folder of records")
+        raise MissingFileError(
+            f"{folder} is no folder; name a folder of records, which commands write with "
+            "--json FOLDER/NAME.json"
+        )
+    if out is not None:
+        check_folder(out)
+        out.mkdir(parents=True, exist_ok=True)
     for path in draw_folder(folder, out or folder):
         typer.echo(f"{path}: written")
 
 
 def _write_pages(checkout: Path) -> None:
     """Write the figures of README.md and docs/ of a checkout."""
-    records = Results(checkout / "bench" / "results")
+    results = checkout / "bench" / "results"
+    if not results.is_dir():
+        raise MissingFileError(
+            f"{results} is no folder; run this in a checkout of Skyline, or name a folder of "
+            "records to draw"
+        )
+    records = Results(results)
     for page in pages_in(checkout):
         text = page.read_text(encoding="utf-8")
         new = written(text, page.relative_to(checkout).as_posix(), records, SENTENCES)
@@ -97,7 +110,7 @@ def _write_pages(checkout: Path) -> None:
 
 
 def readme_picture(
-    out: Annotated[Path, options.new_file("The JPEG to write.", "--output", "-o")],
+    out: Annotated[Path, options.new_file("The JPEG to write.", "--output", "-o", suffixes=_JPEG)],
     record: options.Record = None,
     quick: options.Quick = False,
 ) -> None:

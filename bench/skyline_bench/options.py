@@ -15,12 +15,14 @@ from rich.measure import Measurement
 from rich.table import Table
 from typer import Argument, CallbackParam, Option
 
-from skyline.errors import InputError
+from skyline.errors import InputError, suffix_of
+from skyline.files import check_outputs
 from skyline_bench.measuring import Row, shown
 from skyline_bench.records import KEPT, READ, WRITTEN, Run, note_files, write_record
 
 _WIDTH = 100
 """Columns of the widest table that is printed; a wider one is printed in parts."""
+_DRAWN = ".png", ".pdf", ".svg"
 _MOST_WORDS = 40
 """Columns of the widest words; longer ones are folded."""
 _ABOUT = {"n", "km2", "queries", "kind", "group", "matcher"}
@@ -35,15 +37,34 @@ def read_here(context: typer.Context, param: CallbackParam, value: Any) -> Any:
     Their digests are in the command's record.
     """
     note_files(context, param, READ)
+    given = value if isinstance(value, list | tuple) else [value]
+    _check_apart(context, read=[Path(one) for one in given if one is not None])
     return value
 
 
 def written_here(context: typer.Context, param: CallbackParam, path: Path | None) -> Path | None:
     """Refuse a file that could not be written, before the measurement."""
     note_files(context, param, WRITTEN)
-    if path is not None and not path.absolute().parent.is_dir():
-        raise InputError(f"{param.opts[0]} {path}: there is no folder {path.parent}; make it first")
+    if path is not None:
+        if not path.absolute().parent.is_dir():
+            raise InputError(
+                f"{param.opts[0]} {path}: there is no folder {path.parent}; make it first"
+            )
+        _check_apart(context, written=[path])
     return path
+
+
+def _check_apart(
+    context: typer.Context, *, read: Sequence[Path] = (), written: Sequence[Path] = ()
+) -> None:
+    """Refuse an output that is an input, an output too, or a folder.
+
+    Parameters are processed one by one: each is compared with those before it.
+    """
+    inputs, outputs = context.meta.setdefault("skyline_bench.paths", ([], []))
+    inputs.extend(read)
+    outputs.extend(written)
+    check_outputs(outputs, inputs)
 
 
 def _kept_here(context: typer.Context, param: CallbackParam, path: Path | None) -> Path | None:
@@ -65,9 +86,18 @@ def read_option(metavar: str, words: str) -> Any:
     return Option(metavar=metavar, help=words, callback=read_here)
 
 
-def new_file(words: str, *names: str) -> Any:
-    """Return an option for a file that is written."""
-    return Option(*names, metavar="FILE", help=words, callback=written_here)
+def new_file(words: str, *names: str, suffixes: Sequence[str] = ()) -> Any:
+    """Return an option for a file that is written.
+
+    It has one of ``suffixes``, if any are given.
+    """
+
+    def written(context: typer.Context, param: CallbackParam, path: Path | None) -> Path | None:
+        if path is not None and suffixes:
+            suffix_of(path, suffixes)
+        return written_here(context, param, path)
+
+    return Option(*names, metavar="FILE", help=words, callback=written)
 
 
 def quick_with(**smaller: Any) -> Any:
@@ -81,7 +111,11 @@ def quick_with(**smaller: Any) -> Any:
             context.default_map = {**(context.default_map or {}), **smaller}
         return is_quick
 
-    values = ", ".join(f"--{name.replace('_', '-')} {value}" for name, value in smaller.items())
+    values = ", ".join(
+        f"--{name.replace('_', '-')} {one}"
+        for name, value in smaller.items()
+        for one in (value if isinstance(value, list) else [value])
+    )
     words = "Much smaller: two minutes at most, unless other options ask for more"
     about = f"{words}; by default {values}." if values else f"{words}."
     return Option("--quick", help=about, is_eager=True, callback=shrink)
@@ -105,7 +139,9 @@ Record = Annotated[
         callback=_recorded,
     ),
 ]
-PlotFile = Annotated[Path | None, new_file("Draw them: PNG, PDF or SVG.", "--plot")]
+PlotFile = Annotated[
+    Path | None, new_file("Draw them: PNG, PDF or SVG.", "--plot", suffixes=_DRAWN)
+]
 Seed = Annotated[int, Option(min=0, help="Of all random draws.")]
 Quick = Annotated[bool, quick_with()]
 Folder = Annotated[

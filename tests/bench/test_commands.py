@@ -84,9 +84,45 @@ def test_a_page_with_an_unknown_table_is_refused(run_bench, tmp_path):
 
 def test_a_folder_without_records_is_refused(run_bench, tmp_path):
     shutil.copy(ROOT / "README.md", tmp_path)
-    missing = run_bench("figures", "--output", tmp_path)
-    assert_refused(missing, "speed_error.json does not exist")
+    assert_refused(
+        run_bench("figures", "--output", tmp_path),
+        "bench/results is no folder; run this in a checkout of Skyline, or name a folder of "
+        "records to draw",
+    )
+    assert [one.name for one in tmp_path.iterdir()] == ["README.md"]
     assert_refused(run_bench("figures", tmp_path), "has no record of a benchmark")
+    none = tmp_path / "none"
+    assert_refused(
+        run_bench("figures", none),
+        f"{none} is no folder; name a folder of records, which commands write with "
+        "--json FOLDER/NAME.json",
+    )
+
+
+@pytest.mark.parametrize(
+    ("written", "error"),
+    [
+        ("--json {dem}", "is an input; choose another name for the output"),
+        ("--json {tmp}", "is a folder; name a file for the output"),
+    ],
+)
+def test_a_record_replaces_nothing_that_was_read(run_bench, dem, tmp_path, written, error):
+    """Refused before the measurement, which may take an hour."""
+    copy = shutil.copy(dem, tmp_path / "dem.tif")
+    given = written.format(dem=copy, tmp=tmp_path).split()
+    assert_refused(run_bench("summits", copy, "--quick", *given), error)
+    assert_refused(run_bench("summits", *given, copy, "--quick"), error)
+    assert copy.read_bytes() == dem.read_bytes()
+
+
+def test_a_picture_of_another_kind_is_refused_before_it_is_drawn(run_bench, tmp_path):
+    drawn = run_bench("readme-picture", "--quick", "-o", tmp_path / "picture.txt")
+    assert_refused(drawn, "picture.txt is '.txt'; expected one of .jpg, .jpeg")
+
+
+def test_the_help_of_quick_has_each_number_of_a_list(run_bench):
+    shown = " ".join(run_bench("shards", "--help").ok().out.replace("│", " ").split())
+    assert "by default --places 2000, --km2 20000" in shown
 
 
 def test_a_folder_of_any_records_is_drawn(run_bench, tmp_path):
@@ -94,9 +130,10 @@ def test_a_folder_of_any_records_is_drawn(run_bench, tmp_path):
     for name in ("placing_davos", "speed_error", "page"):
         shutil.copy(RESULTS / f"{name}.json", tmp_path / f"my {name}.json")
     (tmp_path / "other.json").write_text("[]")
-    out = run_bench("figures", tmp_path).ok().out
+    drawn = tmp_path / "new" / "drawn"
+    out = run_bench("figures", tmp_path, "-o", drawn).ok().out
     assert out.count(": written") == 3
-    page = (tmp_path / "figures.md").read_text()
+    page = (drawn / "figures.md").read_text()
     assert re.findall(r"^## (.*)$", page, re.MULTILINE) == [
         "my page",
         "my placing_davos",
@@ -106,7 +143,7 @@ def test_a_folder_of_any_records_is_drawn(run_bench, tmp_path):
     assert max(len(line) for table in tables for line in table.splitlines()) <= 100
     for name in ("placing_davos", "speed_error"):
         assert f"(<my {name}.svg>)" in page
-        assert "<svg" in (tmp_path / f"my {name}.svg").read_text()
+        assert "<svg" in (drawn / f"my {name}.svg").read_text()
 
 
 def test_the_table_of_a_search_has_a_row_for_all_queries_of_a_store(run_bench, tmp_path):
