@@ -567,6 +567,46 @@ def test_many_photos_are_found_in_turn_and_say_where_they_were(page, photo, dem,
     assert page.state("state.photos.length") == 1
 
 
+def test_what_is_said_of_a_photo_and_its_pose_by_hand_are_its_own(page, photo, narrow):
+    """Another photo is shown, the page is loaded again, and all photos are found."""
+    page.open(photo)
+    page.script("document.getElementById('known').open = true")
+    page.click("#fov-known")
+    page.script("const it = document.getElementById('fov'); it.value = 61; it.oninput()")
+    page.click("#heading-known")
+    page.script("const it = document.getElementById('heading'); it.value = 141; it.oninput()")
+    said = page.of("known", "it.known()")
+    assert (said["fov_deg"], said["heading_deg"]) == (61, [141, 30])
+    page.click("#place-here")
+    type_into(page, "#hand-heading_deg-number", "151.3")
+
+    def shows(name):
+        page.until(lambda: page.state(f"state.rows && state.photo.name == '{name}'"))
+        page.until(lambda: page.find("#find").is_enabled())
+
+    page.open(narrow)
+    other = page.of("known", "it.known()")
+    assert (other.get("fov_deg"), other["heading_deg"]) == (None, None)
+    assert page.state("state.pose") is None
+    page.click("#photos li:first-child .pick")
+    shows("photo.jpg")
+    assert page.of("known", "it.known()") == said
+    assert page.state("state.pose.heading_deg") == 151.3
+    assert page.state("state.origin") == "hand"
+    page.reload()
+    shows("photo.jpg")
+    assert page.of("known", "it.known()") == said
+    assert page.state("state.pose.heading_deg") == 151.3
+
+    page.click("#find-all")
+    page.until(lambda: page.state("state.photos.every((one) => one.result)"))
+    asked = page.state("state.photos.map((one) => one.result.asked)")
+    assert asked == [said, other]
+    page.click("#photos li:first-child .pick")
+    shows("photo.jpg")
+    assert page.state("state.origin") == "found"
+
+
 def test_the_page_says_where_photos_go(chromium, served, store):
     assert Page(chromium, served).find("#privacy").text == "Photos stay on this machine."
     with serving(store, "--host", "0.0.0.0") as server:

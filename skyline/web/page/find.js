@@ -2,7 +2,8 @@
 import * as server from "./server.js";
 import { $, degrees, element, emit, mapLink, on, percent, report, setArea, settle, showStatus, state, toView } from "./state.js";
 import { known, standing } from "./known.js";
-import { leave, toCandidate } from "./hand.js";
+import { leave, toCandidate, toLeft } from "./hand.js";
+import { keepDraft } from "./kept.js";
 import { choose as choosePhoto } from "./photos.js";
 
 const STEPS = { waiting: "waiting for another search", screening: "comparing all places", fitting: "fitting the best", refining: "rendering the best", "searching around the best": "searching around the best", done: "done",
@@ -38,6 +39,7 @@ async function find(photo) {
 function ended(photo, outcome) {
   photo.state = outcome;
   photo.area = photo.result?.area ?? photo.area;
+  if (photo.result?.candidates.length) keepDraft(photo, { pose: null });
   if (photo !== state.photo) return;
   setArea(photo.area);
   if (outcome === "ready") return showStatus("The search ended without a result");
@@ -175,7 +177,7 @@ export function start() {
   });
   on("photo", (photo) => {
     show();
-    if (photo?.result) choose(0);
+    if (photo && !toLeft(photo) && photo.result) choose(0);
     if (photo) toView(photo.result ? "answer" : "find");
   });
 }

@@ -1,6 +1,7 @@
 // The pose, set by a candidate or by hand. The rendered skyline follows while it moves.
 import * as server from "./server.js";
 import { $, alertUser, element, emit, on, report, settle, showStatus, state, widest } from "./state.js";
+import { draftOf, keepDraft } from "./kept.js";
 import { known, standing } from "./known.js";
 
 const USUAL_EYE_HEIGHT_M = 2;
@@ -57,6 +58,13 @@ const eyeHeight = () => known().eye_height_m ?? USUAL_EYE_HEIGHT_M;
 
 export const toCandidate = (candidate, chosen) => setPose(placed(candidate), "found", { chosen });
 
+// Returns to the pose that a photo was left with, if that is no candidate's.
+export function toLeft(photo) {
+  const { pose } = draftOf(photo);
+  if (pose) setPose(pose, "hand");
+  return Boolean(pose);
+}
+
 export const release = () => changed(false);
 
 // Drags the rendered skyline over the photo, in photo pixels.
@@ -73,6 +81,7 @@ export function turnBy(columns, rows, stillMoving) {
 
 function changed(stillMoving) {
   settle("fit");
+  if (state.photo && state.pose && !stillMoving) keepDraft(state.photo, { pose: state.chosen === null ? state.pose : null });
   $("hand-form").hidden = !state.pose;
   $("hand-hint").hidden = Boolean(state.pose);
   $("fit").disabled = !state.pose;

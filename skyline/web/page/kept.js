@@ -3,6 +3,7 @@
 import { alertUser, emit, settle, state } from "./state.js";
 
 const PREFIX = "skyline strokes ";
+const DRAFT = "skyline draft ";
 const key = (photo) => PREFIX + photo.content;
 
 // The strokes of a photo and the trace under them; null if all is saved.
@@ -35,6 +36,13 @@ export function saved(photo) {
   emit("unsaved");
   localStorage.removeItem(key(photo));
 }
+
+// What a person says of a photo, and the pose that its camera was set to. The tab keeps them while
+// other photos are shown, and if the page is loaded again.
+export const draftOf = (photo) => JSON.parse(sessionStorage.getItem(DRAFT + photo.content)) ?? {};
+export const keepDraft = (photo, part) =>
+  sessionStorage.setItem(DRAFT + photo.content, JSON.stringify({ ...draftOf(photo), ...part }));
+export const forgetDraft = (photo) => sessionStorage.removeItem(DRAFT + photo.content);
 
 export function start() {
   addEventListener("beforeunload", (event) => {

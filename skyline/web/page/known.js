@@ -1,5 +1,6 @@
 // The form of what the user knows about a photo's place, prefilled from the photo's EXIF.
 import * as server from "./server.js";
+import { draftOf, keepDraft } from "./kept.js";
 import { $, alertUser, on, report, settle, state, emit, widest } from "./state.js";
 
 const LEAST_KM = 0.5;
@@ -10,6 +11,7 @@ const exact = {};
 const last = {}; // the numbers that the fields have had last
 // Whether the user gave the circle. A circle from a photo's own position belongs to that photo.
 let isGiven = false;
+let filled = null; // the photo that the form is about; none while it is filled
 
 // A field that is emptied keeps its number, and shows it again when it is left.
 function value(id) {
@@ -60,6 +62,7 @@ function show() {
   if (document.activeElement !== $("near-place")) $("near-place").value = state.circle && isKnown("near") ? inWords(state.circle) : "";
   $("projection").disabled = !state.photo;
   $("known-summary").textContent = summary();
+  if (filled) keepDraft(filled, { known: known() });
   emit("known");
 }
 
@@ -125,24 +128,29 @@ function showCircle(middle = null) {
   show();
 }
 
-// Fills the form with the request of the photo's last search. Before the first, the field of view
-// is the photo's own, and its place and direction are offered.
+// Fills the form with what was said of the photo last, or the request of its last search. Before
+// the first, the field of view is the photo's own, and its place and direction are offered.
 function fromPhoto(photo) {
+  filled = null;
   if (!photo) return;
-  const asked = photo.result?.asked ?? NOTHING;
-  const fov_deg = "fov_deg" in asked ? asked.fov_deg : photo.fov_deg;
+  const said = draftOf(photo).known;
+  const asked = said ?? photo.result?.asked ?? { ...NOTHING, near: photo.near };
+  // A field of view that the projection cannot have was said of another projection.
+  const isOwnFov = asked.fov_deg === undefined || asked.fov_deg > widest(photo);
+  const fov_deg = isOwnFov ? photo.fov_deg : asked.fov_deg;
   $("projection").value = photo.projection;
   $("fov").max = widest(photo);
   $("fov-known").checked = fov_deg !== null;
   $("heading-known").checked = asked.heading_deg !== null;
-  const near = asked.near ?? (photo.result ? null : photo.near);
+  const near = asked.near ?? null;
   if (near) isGiven = !isOwn(near, photo);
   // A circle that the user gave before the photo stays, where there is no store to search instead.
-  if (near || state.area || photo.lonlat_deg || !isGiven) $("near-known").checked = Boolean(near);
+  if (said || near || state.area || photo.lonlat_deg || !isGiven) $("near-known").checked = Boolean(near);
   $("elevation-known").checked = asked.elevation_m !== null;
   fillNumbers(photo, { ...asked, near }, fov_deg ?? photo.fov_deg);
   const [lon, lat] = near ?? photo.lonlat_deg ?? [];
   showCircle(lon === undefined ? null : { lon, lat });
+  filled = photo;
 }
 
 const isOwn = ([lon, lat], { near }) => near?.[0] === lon && near[1] === lat;

@@ -3,7 +3,7 @@ import * as server from "./server.js";
 import { $, alertUser, element, emit, on, report, setArea, setPhoto, settle, showStatus, state } from "./state.js";
 import { buttons, forget, resume, showShare, showSkyline, traceFrom, waits } from "./brush.js";
 import { leave } from "./hand.js";
-import { keptFor, workOn } from "./kept.js";
+import { forgetDraft, keepDraft, keptFor, workOn } from "./kept.js";
 import { show } from "./view.js";
 
 const WORDS = { waiting: "waiting", opening: "opening…", ready: "ready", matching: "searching…",
@@ -61,6 +61,8 @@ const isOther = (photo, record) => ["strokes", "trace", "result", "projection"].
   (name) => JSON.stringify(photo[name] ?? null) !== JSON.stringify(record[name] ?? null));
 
 function takenOver(photo, record) {
+  // A search of another tab has its own request and poses.
+  if (JSON.stringify(photo.result ?? null) !== JSON.stringify(record.result ?? null)) forgetDraft(record);
   const work = { session: server.current(), solved: record.strokes.length, unsaved: Boolean(workOn(record)) };
   return Object.assign(photo, record, work);
 }
@@ -183,6 +185,7 @@ async function openWaiting() {
 async function drop(photo) {
   if (photo.id && !LOST.includes(photo.state)) await server.remove(photo).catch((error) => report(error, "photo"));
   settle("photo");
+  forgetDraft(photo);
   leaveOut(photo);
   server.tellOthers();
   list();
@@ -225,6 +228,8 @@ async function takeUp(photo, given) {
   const work = workOn(photo);
   Object.assign(photo, { session: server.current(), solved: photo.strokes.length, unsaved: Boolean(work) });
   if (given >= 0) photo.given = given;
+  // An answer is shown with the request that it is to.
+  if (photo.result) keepDraft(photo, { known: null });
   // Strokes that were drawn while the server did not answer.
   if (work && work.strokes.length !== photo.strokes.length) await resume(photo, work).catch((error) => report(error, "strokes"));
 }
