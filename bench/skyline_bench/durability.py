@@ -363,9 +363,9 @@ def store_durability(
         str,
         options.read_argument("DEM", "The DEM from which stores are built."),
     ],
-    builds: Annotated[int, Option(help="Builds to kill.")] = 25,
-    flips: Annotated[int, Option(help="Bits to flip in each store, one at a time.")] = 300,
-    cases: Annotated[int, Option(help="Mutated files of each store.")] = 500,
+    builds: Annotated[int, Option(min=0, help="Builds to kill.")] = 25,
+    flips: Annotated[int, Option(min=0, help="Bits to flip in each store, one at a time.")] = 300,
+    cases: Annotated[int, Option(min=0, help="Mutated files of each store.")] = 500,
     record: options.Record = None,
     quick: Annotated[bool, options.quick_with(builds=4, flips=5, cases=10)] = False,
 ) -> None:
@@ -389,7 +389,7 @@ def store_durability(
 
 
 def input_fuzz(
-    cases: Annotated[int, Option(help="Damaged files of each kind.")] = 250,
+    cases: Annotated[int, Option(min=1, help="Damaged files of each kind.")] = 250,
     record: options.Record = None,
     seed: options.Seed = 0,
     quick: Annotated[bool, options.quick_with(cases=10)] = False,

@@ -42,6 +42,8 @@ def repeat(
     The new record is compared with the old one. Data whose digest differs from the record's are
     refused. A record keeps its name, so --output decides whether it is replaced.
     """
+    if data is not None and not data.is_dir():
+        raise MissingFileError(f"--data {data} is no folder; name the folder of the record's data")
     old = read_record(record)
     missing = [name for name in _NEEDED if name not in old]
     group: Any = context.parent.command if context.parent else None

@@ -54,7 +54,7 @@ def shards(
     dem: options.Dems,
     record: options.Record = None,
     places: Annotated[int, Option(min=1, help="Places of the store.")] = 20_000,
-    km2: Annotated[list[float], Option(help="Areas that are simulated.")] = [1e5, 1e6],  # noqa: B006
+    km2: Annotated[list[float], Option(min=1.0, help="Areas that are simulated.")] = [1e5, 1e6],  # noqa: B006
     workers: Annotated[int, Option(min=1, help="Workers.")] = 2,
     seed: options.Seed = 0,
     folder: options.Folder = None,

@@ -120,6 +120,13 @@ def test_a_picture_of_another_kind_is_refused_before_it_is_drawn(run_bench, tmp_
     assert_refused(drawn, "picture.txt is '.txt'; expected one of .jpg, .jpeg")
 
 
+@pytest.mark.parametrize(
+    "words", ["input-fuzz --cases 0", "store-durability DEM --flips -1", "shards DEM --km2 0"]
+)
+def test_counts_of_nothing_are_refused(run_bench, words):
+    assert_refused(run_bench(*words.split()), "Input should be greater than or equal to")
+
+
 def test_the_help_of_quick_has_each_number_of_a_list(run_bench):
     shown = " ".join(run_bench("shards", "--help").ok().out.replace("│", " ").split())
     assert "by default --places 2000, --km2 20000" in shown

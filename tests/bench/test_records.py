@@ -114,6 +114,11 @@ def test_other_data_are_refused(run_bench, record, home):
     assert not (home / "repeated").exists()
 
 
+def test_a_missing_folder_of_data_is_refused(run_bench, record, home):
+    refused = run_bench("repeat", record, "--data", "/nosuch")
+    assert_refused(refused, "--data /nosuch is no folder; name the folder of the record's data")
+
+
 def test_a_photograph_that_a_manifest_names_is_data_too(run_bench, photo, home):
     shutil.copy(photo, home / "data" / "a.jpg")
     (home / "data" / "held.csv").write_text("photo,kind\na.jpg,extract\n")
