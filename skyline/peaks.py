@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 
 from skyline.arrays import Float64Array, ShortRepr
-from skyline.errors import InputError, printable, swapped_in_words
+from skyline.errors import InputError, printable
 from skyline.files import GEOJSON, read_bytes
 from skyline.geodesy.crs import WGS84, crs_of_positions, transformer
 from skyline.geodesy.earth import GROUND_M
 from skyline.geodesy.map_frame import Frame
 from skyline.tables import Row, read_table
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.viewpoints import is_on_map
+from skyline.terrain.viewpoints import is_on_map, swap_hint
 
 _FOOT_M = 0.3048
 _INCH_M = 0.0254
@@ -109,14 +109,13 @@ def check_on_map(peaks: Peaks, terrain: HeightField) -> None:
     if not len(peaks) or is_on_map(terrain, *places_m).any():
         return
     lon, lat = frame.to_lonlat(*places_m)
-    swapped = is_on_map(terrain, *frame.from_lonlat(lat, lon)).any()
     _log.warning(
         "none of %d peaks lies on the elevation model (the first is %s at %.4f,%.4f)%s",
         len(peaks),
         peaks.names[0],
         lon[0],
         lat[0],
-        f"; {swapped_in_words(lon[0], lat[0])}" if swapped else "",
+        swap_hint(terrain, lon, lat),
     )
 
 

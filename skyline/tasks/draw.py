@@ -19,6 +19,7 @@ from skyline.tasks.photo_task import PosedTask
 from skyline.tasks.standing import assumed_lines, shown_pose
 from skyline.tasks.terrain import read_terrain
 from skyline.terrain.dem_files import dem_names
+from skyline.terrain.viewpoints import swap_hint
 from skyline.vectors import Vectors, read_vectors
 from skyline.view import Viewer
 
@@ -98,9 +99,10 @@ def _into_photo(
     shapes = [in_photo(view, shape, view.terrain.frame) for shape in vectors.shapes]
     parts = [one.parts(blank.width_px, blank.height_px) for one in shapes]
     if not any(parts):
+        lon, lat = np.concatenate([one.vertices for one in vectors.shapes]).T
         raise InputError(
             f"{task.vectors}: nothing of it is in the photo; give vectors of what the camera saw, "
-            "or a DEM that holds them"
+            f"or a DEM that holds them{swap_hint(view.terrain, lon, lat)}"
         )
     if suffix in GEOJSON:
         write_in_photo(task.output, shapes, task.photo, blank)

@@ -192,6 +192,18 @@ def position_on(
     return easting, northing
 
 
+def swap_hint(field: HeightField, lon: Float64Array, lat: Float64Array) -> str:
+    """Return a hint that longitudes and latitudes (N,) are swapped, or "".
+
+    They are if no place lies on the map, and one does with the other order.
+    """
+    frame = field.frame
+    swapped = np.flatnonzero(is_on_map(field, *frame.from_lonlat(lat, lon)))
+    if not swapped.size or is_on_map(field, *frame.from_lonlat(lon, lat)).any():
+        return ""
+    return f"; {swapped_in_words(lon[swapped[0]], lat[swapped[0]])}"
+
+
 def stand_where_possible(
     field: HeightField, easting_m: ArrayLike, northing_m: ArrayLike
 ) -> tuple[Viewpoints, BoolArray]:

@@ -151,6 +151,12 @@ def test_the_errors_of_a_pose_without_a_covariance_are_assumed_and_that_is_said(
         (collection(DRAWN, photo=SIZE), "a.png", (), "vectors of the photo, which go onto the map"),
         (collection({"it": ("Point", [9.0, 46.0])}), "a.gpkg", (), "which go into the photo"),
         (collection({"it": ("Point", [9.0, 46.0])}), "a.png", (), "nothing of it is in the photo"),
+        (
+            collection({"it": ("LineString", [[46.0, 9.0], [46.7478, 10.3327]])}),
+            "a.png",
+            (),
+            "longitude and latitude seem to be swapped: give 10.3327,46.7478",
+        ),
     ],
 )
 def test_a_mistake_is_one_line(draw, tmp_path, content, out, options, said):
