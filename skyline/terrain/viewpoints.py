@@ -340,11 +340,9 @@ def _check_heights(eye_height_m: Float64Array) -> None:
     # A micrometre is rounding.
     below = np.flatnonzero(eye_height_m < -1e-6)
     if below.size:
-        first = below[0]
-        more = f", and {below.size - 1} more are below it" if below.size > 1 else ""
         raise OffMapError(
-            f"the eye of viewpoint {first} is {-eye_height_m[first]:.2f} m below the ground{more}; "
-            "raise it to the ground or above"
+            f"the eye at {_first_of(below, len(eye_height_m))} is "
+            f"{-eye_height_m[below[0]]:.2f} m below the ground; raise it to the ground or above"
         )
 
 

@@ -299,7 +299,10 @@ class TestPoses:
 
     @pytest.mark.parametrize(
         ("eye_height_m", "said", "error"),
-        [(-1.0, r"1\.00 m below the ground", OffMapError), (1e6, "-500 to 20000", InputError)],
+        [
+            (-1.0, r"the eye at the place is 1\.00 m below the ground", OffMapError),
+            (1e6, "-500 to 20000", InputError),
+        ],
     )
     def test_whose_eye_is_nowhere(self, eye_height_m, said, error):
         viewer = Viewer(field_of(np.zeros((90, 90)), west_m=-1200.0, north_m=1200.0))
