@@ -45,7 +45,7 @@ class RetrievalEffort:
     """Step of `Rays.log_scale` between the fields of view of the coarse screen."""
     screened_step: float = 0.18
     """Step of `Rays.log_scale` between the fields of view of the fine screen."""
-    screened_again: int = 2
+    screened_again: int = 4
     """Places that the fine screen compares again, for each one that is wanted."""
     first: int = 2048
     """Places of the first short list."""
@@ -64,9 +64,9 @@ class RetrievalEffort:
     """Share of all places from which the last short list is made."""
     rough_least: int = 16_384
     """Least number of these places."""
-    rough_most: int = 131_072
-    """Greatest number of these places. Among 2.6 million places, half as many lost 2 of 54 queries
-    that these find, and took four fifths of the processor time."""
+    rough_most: int = 65_536
+    """Greatest number of these places. Among six million places, none of 29 queries came into a
+    short list from a rank beyond 13,198."""
     turns: int = 3
     """Best turns of a place that screening passes on. Screening finds the right place more often
     than the right turn, since it knows neither the pitch nor where the eye stands."""

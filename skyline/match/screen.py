@@ -144,8 +144,10 @@ class Screen:
     penalty : (F,) float64, optional
         Loss of the scores at each field of view, in deviations; by default none.
     coarse : bool
-        Whether only every other turn is compared, with a level camera: a quarter of the work. A
-        coarse screen gives scores, and no best turns.
+        Whether only every other turn is compared, with a level camera: a quarter of the work. These
+        are the even turns at half of the places and the odd ones at the others, so that some of the
+        places near the right one are compared at the right turn, whichever it is. A coarse screen
+        gives scores, and no best turns.
     """
 
     def __init__(
@@ -163,8 +165,8 @@ class Screen:
         every = np.ones(PHASE_BINS, dtype=bool)
         opened = every if open_turns is None else open_turns
         if coarse:
-            # A compared turn stands for the ones beside it.
-            opened = opened | np.roll(opened, 1) | np.roll(opened, -1)
+            # A compared turn, an odd one at half of the places, stands for the ones beside it.
+            opened = np.any([np.roll(opened, bins) for bins in (1, 0, -1, -2)], axis=0)
         self.open_turns = opened[:: self._turn_step]
         level = np.stack([waves_of(rays.with_fov(float(fov))) for fov in fovs_deg])
         seen = np.flatnonzero(np.abs(level).any(axis=0))
@@ -200,6 +202,8 @@ class Screen:
     def _scores(self, phase: UInt8Array) -> Float32Array:
         opened = self.open_turns.reshape(PHASE_BINS // _TURNS_AT_ONCE, -1)
         parts = np.flatnonzero(opened.any(axis=1))
+        if self._turn_step > 1:
+            phase = _at_odd_turns(phase)
         filled = _filled(phase, self._at_once)
         sums = self._sums(filled, slice(None) if len(parts) == len(opened) else parts)
         if not opened.all():
@@ -251,6 +255,15 @@ class Screen:
             level += change
         turns = _TURNS_AT_ONCE // self._turn_step
         return np.reshape(level, (len(level), len(phase), self._fovs, turns))
+
+
+def _at_odd_turns(phase: UInt8Array) -> UInt8Array:
+    """Return phases (N, B), turned by one bin at half of the places, as if drawn by lot.
+
+    The parity of a place's phases decides, so it does not depend on the places beside it.
+    """
+    is_odd = np.add.reduce(phase, axis=1, dtype=np.uint8) % 2 == 1
+    return np.where(is_odd[:, np.newaxis], np.roll(phase, -1, axis=1), phase)
 
 
 def _filled(phase: UInt8Array, count: int) -> UInt8Array:

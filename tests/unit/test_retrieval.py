@@ -201,9 +201,12 @@ def test_threads_change_nothing(monkeypatch):
 def test_fits_climb_to_places_beside_that_screening_passed_over(places, monkeypatch):
     """Screening passes two places on. Beside the better one are three to the west and three to the
     east."""
-    few = replace(retrieval._EFFORT, first=1, rough_least=2, rough_most=2, good_least=2)
+    few = replace(
+        retrieval._EFFORT, first=1, rough_least=2, rough_most=2, good_least=2, screened_again=20
+    )
     monkeypatch.setattr(retrieval, "_EFFORT", few)
-    first, last = retriever_of(places).shortlists(rays(10, 77.0), 100)
+    # The coarse screen compares this place at odd turns, and the heading is one.
+    first, last = retriever_of(places).shortlists(rays(10, 79.0), 100)
     assert set(np.rint(first.easting_m / 100.0)) == {10}
     assert set(np.rint(last.easting_m / 100.0)) >= {7, 8, 9, 10, 11, 12, 13}
 
