@@ -29,6 +29,7 @@ rises is a matrix product. A phase takes a byte.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, TypeVar
 
 import cv2
@@ -96,7 +97,6 @@ PLACE_CODING = {
 """The constants by which the bytes of places become tangents and distances."""
 
 _PHASE = (np.arange(PHASES) + 0.5) * (2.0 * np.pi / PHASES)
-_WAVES = np.concatenate([[0.0], np.exp(1j * _PHASE)]).astype(np.complex64)
 
 
 def encode_rises(elevation_tan: Float32Array) -> tuple[Float32Array, Int8Array]:
@@ -170,9 +170,18 @@ def encode_phases(elevation_tan: Float32Array) -> UInt8Array:
     return np.where(known, steps.astype(np.uint8) + 1, 0).astype(np.uint8)
 
 
-def decode_phases(codes: UInt8Array) -> Complex64Array:
-    """Return exp(i phase) (N, 180) complex64; 0 where the rise is unknown."""
-    return looked_up(codes, _WAVES)
+def decode_phases(codes: UInt8Array, gain: int = 1) -> Complex64Array:
+    """Return exp(i gain phase) (N, 180) complex64; 0 where the rise is unknown.
+
+    Omega is as many times `RISE_TO_TURN` as the ``gain`` says.
+    """
+    return looked_up(codes, _waves(gain))
+
+
+@cache
+def _waves(gain: int) -> Complex64Array:
+    """Return the waves (256,) of the codes of phases."""
+    return np.concatenate([[0.0], np.exp(1j * gain * _PHASE)]).astype(np.complex64)
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
