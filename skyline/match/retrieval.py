@@ -41,10 +41,9 @@ class RetrievalEffort:
 
     sample: int = 2048
     """Places from which the mean and the deviation of a photo's scores are estimated."""
-    coarse_step: float = 0.36
-    """Step of `Rays.log_scale` between the fields of view of the coarse screen."""
     screened_step: float = 0.18
-    """Step of `Rays.log_scale` between the fields of view of the fine screen."""
+    """Step of `Rays.log_scale` between the fields of view that are screened. With one between two
+    of them, the edges of a view of 60 degrees are off by one bin of phases."""
     screened_again: int = 4
     """Places that the fine screen compares again, for each one that is wanted."""
     first: int = 2048
@@ -361,10 +360,9 @@ class Retriever:
 
     def _screens(self, rays: Rays, prior: Prior) -> tuple[Screen, Screen]:
         """Return the coarse and the fine screen of a photo."""
-        return (
-            self._screen(rays, prior, _likely_log_scales(rays, _EFFORT.coarse_step), coarse=True),
-            self._screen(rays, prior, _likely_log_scales(rays, _EFFORT.screened_step)),
-        )
+        log_scales = _likely_log_scales(rays, _EFFORT.screened_step)
+        coarse = self._screen(rays, prior, log_scales, coarse=True)
+        return coarse, self._screen(rays, prior, log_scales)
 
     def _screen(
         self, rays: Rays, prior: Prior, log_scales: Float64Array, *, coarse: bool = False
