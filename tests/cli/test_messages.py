@@ -307,7 +307,7 @@ MISTAKES = [
     ("horizon dem.tif --points p.csv", "--viewpoints"),
     ("horizon dem.tif --k 0.2", "No such option: --k"),
     ("peaks --bbox 9,46,10,47", "No such option: --bbox"),
-    ("buil {dem}", "Did you mean 'build'? See `skyline --help`"),
+    ("panoram {dem}", "Did you mean 'panorama'? See `skyline --help`"),
 ]
 """Commands, and what the error line of each says, above all what to do."""
 
