@@ -24,6 +24,8 @@ PAGE_MARK = '<meta name="generator" content="Skyline">'
 """The mark of the pages that Skyline writes."""
 STORE_SCHEMA = "skyline-store"
 """The attribute ``schema``, which tells a store from other HDF5 files in GDAL."""
+STORE_SUFFIXES = (".h5", ".hdf5")
+"""Suffixes of stores."""
 STANDARD = "-"
 """The path that stands for standard input and output."""
 GEOJSON = (".geojson", ".json")

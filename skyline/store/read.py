@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from skyline.arrays import Index, Int64Array, IntArray
 from skyline.errors import InputError, MissingFileError, StoreError
+from skyline.files import STORE_SUFFIXES
 from skyline.geodesy.map_frame import Frame
 from skyline.skylines import Views
 from skyline.store.layout import (
@@ -357,7 +358,7 @@ def is_store(path: str | os.PathLike[str]) -> bool:
         with path.open("rb", buffering=0) as raw, h5py.File(raw, "r") as file:
             return "schema" in file.attrs
     except UNREADABLE:
-        return path.suffix == ".h5" and path.is_file()
+        return path.suffix in STORE_SUFFIXES and path.is_file()
 
 
 def parts_folder(path: Path) -> Path:

@@ -15,7 +15,7 @@ import numpy as np
 
 from skyline.arrays import IntArray
 from skyline.errors import InputError, MissingFileError, check_suffix
-from skyline.files import STANDARD, appearing
+from skyline.files import STANDARD, STORE_SUFFIXES, appearing
 from skyline.store.layout import (
     PLACES,
     ROWS_AT_ONCE,
@@ -83,7 +83,7 @@ def check_store_path(path: Path) -> None:
     of another format and for a folder without the right to write, and `MissingFileError` if there
     is no folder for it.
     """
-    check_suffix(path, (".h5", ".hdf5"))
+    check_suffix(path, STORE_SUFFIXES)
     _check_place(path)
 
 

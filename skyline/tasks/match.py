@@ -24,7 +24,15 @@ from skyline.errors import (
     printable,
     suffix_of,
 )
-from skyline.files import GEOJSON, STANDARD, check_outputs, digest_of, read_bytes, version_of
+from skyline.files import (
+    GEOJSON,
+    STANDARD,
+    STORE_SUFFIXES,
+    check_outputs,
+    digest_of,
+    read_bytes,
+    version_of,
+)
 from skyline.match.config import MatchConfig
 from skyline.match.distant_shards import distant_shards, opening_of
 from skyline.match.joint_result import JointResult
@@ -209,7 +217,9 @@ def split_stores(first: Path, others: Sequence[Path]) -> tuple[tuple[Path, ...],
     photo = next(iter(photos), None)
     if first.is_file() and not is_store(first):
         photo, photos = first, others
-    late = next((one for one in photos if one.suffix in {".h5", ""} and is_store(one)), None)
+    late = next(
+        (one for one in photos if one.suffix in {*STORE_SUFFIXES, ""} and is_store(one)), None
+    )
     if late is not None:
         raise InputError(f"{late} is a store and is named after {photo}; name stores before photos")
     return stores, photos

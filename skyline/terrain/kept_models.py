@@ -18,7 +18,7 @@ from pathlib import Path
 from pyproj.datadir import get_data_dir, get_user_data_dir  # type: ignore[attr-defined]
 
 from skyline.errors import SkylineError
-from skyline.files import archive_of, cache_folder, digest_of, is_file, version_of
+from skyline.files import STORE_SUFFIXES, archive_of, cache_folder, digest_of, is_file, version_of
 from skyline.terrain.field_files import SUFFIX, LoggedWarning, read_field, save_dem
 from skyline.terrain.heightfield import HeightField, field_of
 from skyline.terrain.metric_dem import MetricDem
@@ -132,7 +132,7 @@ def _by_stem(folder: Path) -> dict[str, list[Path]]:
     """Return a folder's files by their names' beginnings, without stores."""
     found: dict[str, list[Path]] = {}
     for path in sorted(folder.iterdir()):
-        if path.suffix != ".h5":
+        if path.suffix not in STORE_SUFFIXES:
             found.setdefault(_stem(path), []).append(path)
     return found
 

@@ -89,10 +89,11 @@ def test_a_photo_before_the_store_is_told(run, store, photo):
         assert_refused(done, f"{store} is a store and is named after {photo}")
 
 
-def test_a_missing_store_is_not_called_a_dem(run, tmp_path):
+@pytest.mark.parametrize("name", ["none.h5", "none.hdf5"])
+def test_a_missing_store_is_not_called_a_dem(run, tmp_path, name):
     for command in (("info",), ("store", "check")):
-        done = run(*command, tmp_path / "none.h5")
-        assert_refused(done, "none.h5 does not exist; check the name, or build it")
+        done = run(*command, tmp_path / name)
+        assert_refused(done, f"{name} does not exist; check the name, or build it")
         assert "DEM" not in done.err
 
 
