@@ -26,10 +26,15 @@ _UNSHOWN = re.compile(
 def printable(text: str | os.PathLike[str]) -> str:
     r"""Return text as one line that UTF-8, JSON and XML can hold.
 
-    A byte of a file's name that is not UTF-8 becomes
-    ``\xe4``, for example, a line end ``\n``, and an escape ``\x1b``; all else stays as it is.
+    A line end becomes ``\n``, an escape ``\x1b``, and a byte of a file's name that is not UTF-8
+    ``\xe4``, for example; all else stays as it is.
     """
     return _UNSHOWN.sub(lambda found: _escaped(found[0]), os.fspath(text))
+
+
+def one_line(text: object) -> str:
+    """Return the text of anything, such as another library's error, as one line."""
+    return " ".join(str(text).split())
 
 
 def _escaped(letter: str) -> str:

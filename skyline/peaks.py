@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from skyline.arrays import Float64Array, ShortRepr
-from skyline.errors import InputError, printable
+from skyline.errors import InputError, one_line, printable
 from skyline.files import GEOJSON, read_bytes
 from skyline.geodesy.crs import WGS84, crs_of_positions, transformer
 from skyline.geodesy.earth import GROUND_M
@@ -184,7 +184,7 @@ def _row(row: Row, first: str, second: str) -> _Point:
     # A height that may be two stays as it is, and is no height.
     readings = row.readings("height_m")
     height = (readings[0] if len(readings) == 1 else row["height_m"]) or None
-    return " ".join(row["name"].split()), row.number(first), row.number(second), height
+    return one_line(row["name"]), row.number(first), row.number(second), height
 
 
 def _of_geojson(path: str | Path) -> list[_Point]:
@@ -225,7 +225,7 @@ def _named_point(feature: Any) -> _Point | None:
         properties = feature["properties"]
         geometry = feature["geometry"]
         lon, lat = (float(degrees) for degrees in geometry["coordinates"][:2])
-        name = " ".join(str(properties["name"] or "").split())
+        name = one_line(properties["name"] or "")
         ele = properties.get("ele")
     except (TypeError, KeyError, ValueError, OverflowError, AttributeError):
         return None

@@ -27,7 +27,7 @@ from rich.progress import (
 )
 from rich.progress import Progress as ProgressBar
 
-from skyline.errors import printable
+from skyline.errors import one_line, printable
 from skyline.files import STANDARD
 
 if TYPE_CHECKING:
@@ -114,7 +114,7 @@ class Terminal:
 
     def error(self, message: str) -> None:
         """Print an error as one line to standard error."""
-        print_aside("error: " + " ".join(message.split()))
+        print_aside("error: " + one_line(message))
 
     def keeps(self, advice: str, is_kept: Callable[[], bool] = lambda: True) -> None:
         """Set the advice that the error after Ctrl-C gives.

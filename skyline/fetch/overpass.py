@@ -13,7 +13,7 @@ from urllib.error import HTTPError, URLError
 from urllib.parse import urlencode, urlsplit
 from urllib.request import Request, urlopen
 
-from skyline.errors import FetchError, InputError, printable, suffix_of
+from skyline.errors import FetchError, InputError, one_line, printable, suffix_of
 from skyline.fetch.remote import PASSING, PATIENT, Patience, RequestError, repeated
 from skyline.files import GEOJSON, STANDARD, write_whole
 from skyline.geodesy.bounds import Bounds, check_bounds
@@ -99,14 +99,14 @@ def _elements(server: str, answer: bytes) -> list[Any]:
         elements = [*content["elements"]]
         note = content.get("remark", "")
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
-        begins = " ".join(answer[:60].decode("utf-8", "replace").split())
+        begins = one_line(answer[:60].decode("utf-8", "replace"))
         raise FetchError(
             f"{without_secrets(server)}: the answer is not one of Overpass (it begins `{begins}`); "
             "check the address"
         ) from None
     if "error" in str(note):
         raise FetchError(
-            f"{without_secrets(server)}: the server gave up ({' '.join(str(note).split())[:120]}); "
+            f"{without_secrets(server)}: the server gave up ({one_line(note)[:120]}); "
             "choose smaller bounds, or try again later"
         )
     return elements

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 import rasterio
 from rasterio.errors import RasterioError
 
-from skyline.errors import FetchError
+from skyline.errors import FetchError, one_line
 from skyline.terrain.raster_files import NOT_RECOGNIZED, without_secrets
 
 PASSING = (429, 500, 502, 503, 504)
@@ -127,7 +127,7 @@ def _failure(url: str, error: RasterioError) -> Exception:
     messages: list[str] = []
     cause: BaseException | None = error
     while cause is not None:
-        messages.append(" ".join(str(cause).split()))
+        messages.append(one_line(cause))
         cause = cause.__cause__
     text = "; ".join(messages).replace(f"/vsicurl/{url}", without_secrets(url))
     again = "give the same command again: fetched tiles are kept"

@@ -9,7 +9,7 @@ import numpy as np
 from pyproj import CRS, Transformer
 from pyproj.exceptions import CRSError, ProjError
 
-from skyline.errors import InputError, printable
+from skyline.errors import InputError, one_line, printable
 
 WGS84 = CRS.from_epsg(4326)
 _WGS84_M = 6378137.0
@@ -75,7 +75,7 @@ def parse_crs(crs: object) -> CRS:
     except (CRSError, UnicodeEncodeError) as error:
         raise InputError(
             f"coordinate reference system {crs!r} is not understood "
-            f"({' '.join(str(error).split())}); give an EPSG code such as EPSG:32632 or WKT"
+            f"({one_line(error)}); give an EPSG code such as EPSG:32632 or WKT"
         ) from error
 
 
@@ -117,7 +117,7 @@ def transformer(source: CRS, target: CRS) -> Transformer:
     except ProjError as error:
         raise InputError(
             f"PROJ cannot transform coordinates of {source.name!r} to {target.name!r} "
-            f"({' '.join(str(error).split())}); give a DEM in another CRS of the Earth"
+            f"({one_line(error)}); give a DEM in another CRS of the Earth"
         ) from error
 
 
@@ -127,10 +127,9 @@ def to_wgs84(crs: CRS, x: float, y: float) -> tuple[float, float, str]:
     They are in WGS 84, or on the CRS's own body.
     """
     transformation = transformer(crs, lonlat_of(crs))
-    if not is_of_earth(crs):
-        lon, lat = transformation.transform(x, y)
-        return float(lon), float(lat), "none: positions are on the ellipsoid of another world"
     lon, lat = transformation.transform(x, y)
+    if not is_of_earth(crs):
+        return float(lon), float(lat), "none: positions are on the ellipsoid of another world"
     with suppress(ProjError):  # There may be only one operation.
         transformation = transformation.get_last_used_operation()
     steps = transformation.description.split(" + ")

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skyline.arrays import ShortRepr, UInt8Array
-from skyline.errors import SkylineError, StoreError, StoreMismatchError, some_of
+from skyline.errors import SkylineError, StoreError, StoreMismatchError, one_line, some_of
 from skyline.files import STORE_SCHEMA
 from skyline.geodesy.bounds import Bounds
 from skyline.geodesy.earth import Curvature
@@ -375,7 +375,7 @@ def explained(path: Path, problem: str, advice: str = REBUILD) -> Iterator[None]
     except SkylineError:
         raise
     except UNREADABLE as error:
-        reason = " ".join(str(error).split()) or type(error).__name__
+        reason = one_line(error) or type(error).__name__
         cause = re.search(r"error message = '([^']+)'", reason)
         reason = cause[1] if cause else reason
         raise StoreError(f"store {path}: {problem} ({reason}); {advice}") from error

@@ -17,7 +17,7 @@ from queue import SimpleQueue
 from typing import Any, Generic, Protocol, TypeVar
 from uuid import uuid4
 
-from skyline.errors import BuildError, InputError, SkylineError, library
+from skyline.errors import BuildError, InputError, SkylineError, library, one_line
 
 # A terminal sends Ctrl-C to workers as well, but only the main process answers it and stops them.
 _IGNORE_CTRL_C = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"
@@ -203,7 +203,7 @@ def runner_of(workers: str | None) -> Iterator[Runner | None]:
         try:
             client = _distributed().Client(workers, timeout=10)
         except (OSError, ValueError) as error:
-            reason = " ".join(str(error).split())
+            reason = one_line(error)
             raise InputError(
                 f"no dask scheduler answers at {workers!r} ({reason}); start one with `dask "
                 "scheduler`, and give the address it prints, e.g. tcp://10.0.0.1:8786"
@@ -290,4 +290,4 @@ def _outcome(future: Any) -> Any:
         return error
     if type(error).__name__ == "KilledWorker":
         return BuildError("its worker died at every attempt: out of memory, or a fault of OpenGL")
-    return BuildError(f"a worker failed: {type(error).__name__}: {' '.join(str(error).split())}")
+    return BuildError(f"a worker failed: {type(error).__name__}: {one_line(error)}")

@@ -18,7 +18,7 @@ import rasterio
 from rasterio.enums import ColorInterp
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
 
-from skyline.errors import FetchError, InputError
+from skyline.errors import FetchError, InputError, one_line
 from skyline.files import archive_of, is_file
 
 NOT_RECOGNIZED = "not recognized as being in"
@@ -65,7 +65,7 @@ def opened_raster(source: str, header_only: bool = False, **settings: str) -> It
         with rasterio.Env(**_SETTINGS, **settings), ExitStack() as held:
             yield _dataset(source, header_only, held)
     except RasterioError as error:
-        reason = re.sub(r"/vsimem/[^/]*/", "", " ".join(str(error.__cause__ or error).split()))
+        reason = re.sub(r"/vsimem/[^/]*/", "", one_line(error.__cause__ or error))
         if "://" in source:
             source = without_secrets(source)
             reason = without_secrets(reason)

@@ -27,7 +27,7 @@ from rasterio.transform import Affine
 from rasterio.windows import Window
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array
-from skyline.errors import InputError, SkylineError, library
+from skyline.errors import InputError, SkylineError, library, one_line
 from skyline.files import STORE_SCHEMA, archive_of, is_file, on_disk
 from skyline.geodesy.crs import without_vertical
 from skyline.terrain.datums import (
@@ -111,8 +111,8 @@ def dataset_tile(dataset: Any, default_crs: CRS | None) -> Tile:
         raise no_dem(dataset)
     source = str(dataset.name)
     # A warped or virtual dataset may have the name of a file, but not its heights.
-    on_disk = isinstance(dataset, rasterio.DatasetReader) and is_file(source)
-    files = (str(Path(source).absolute()),) if on_disk else ()
+    is_of_file = isinstance(dataset, rasterio.DatasetReader) and is_file(source)
+    files = (str(Path(source).absolute()),) if is_of_file else ()
     return _tile_of(source, lambda **_: nullcontext(dataset), default_crs, files)
 
 
@@ -431,7 +431,7 @@ def _wkt_of_mapping(source: str, mapping: Mapping[str, Any]) -> str | None:
     except (CRSError, KeyError) as error:
         raise InputError(
             f"the coordinate reference system of {source} is not understood "
-            f"({' '.join(str(error).split())}); give one by DemOptions(crs=...)"
+            f"({one_line(error)}); give one by DemOptions(crs=...)"
         ) from error
 
 

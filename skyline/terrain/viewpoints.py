@@ -20,7 +20,7 @@ from skyline.arrays import (
     by_dimensions,
     refuse_text,
 )
-from skyline.errors import InputError, OffMapError, printable, swapped_in_words
+from skyline.errors import InputError, OffMapError, one_line, printable, swapped_in_words
 from skyline.geodesy.bounds import are_degrees
 from skyline.geodesy.earth import GROUND_M
 from skyline.geodesy.map_frame import in_rectangle
@@ -317,7 +317,7 @@ def broadcast(**values: ArrayLike) -> list[Float64Array]:
         arrays = np.broadcast_arrays(*numbers)
     except (TypeError, ValueError, OverflowError) as error:
         raise InputError(
-            f"coordinates and heights of places cannot be used ({' '.join(str(error).split())}); "
+            f"coordinates and heights of places cannot be used ({one_line(error)}); "
             "expected numbers, as many latitudes as longitudes"
         ) from error
     for name, array in zip(values, arrays, strict=True):
