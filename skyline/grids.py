@@ -15,7 +15,7 @@ import numpy as np
 from pyproj import CRS
 
 from skyline.arrays import Float32Array, Float64Array, IntArray, refuse_text
-from skyline.cf import METRES, TRUE_NORTH
+from skyline.cf import DEGREES, METRES, TRUE_NORTH
 from skyline.errors import InputError, library
 from skyline.geodesy.crs import lonlat_of, transformer
 from skyline.geodesy.earth import Curvature
@@ -112,7 +112,7 @@ def horizon_grid(
         1000 samples take 290 MB at a step of 5 degrees.
     """
     eyes = _Eyes.of(dem, step_deg, eye_height_m, curvature)
-    about = {"long_name": "elevation angle of the horizon", "units": "degrees"}
+    about = {"long_name": "elevation angle of the horizon", **DEGREES}
     data = _seen(eyes, _elevations, (eyes.steps,), progress)
     first = {"azimuth_deg": ("azimuth_deg", eyes.azimuth_deg, TRUE_NORTH)}
     return eyes.grid.labelled("elevation_deg", data, about, first)

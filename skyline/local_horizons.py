@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pyproj import CRS
 
 from skyline.arrays import Float32Array, Float64Array, UInt8Array, refuse_text
-from skyline.cf import LAT, LON, METRES, TRUE_NORTH
+from skyline.cf import DEGREES, LAT, LON, METRES, TRUE_NORTH
 from skyline.errors import InputError, library
 from skyline.geodesy.bounds import are_degrees
 from skyline.geodesy.crs import WGS84
@@ -413,9 +413,9 @@ class LocalHorizons:
         """
         xarray = library("xarray", "a Dataset")
         described = {
-            "surface_deg": ("elevation angle up to which trees and houses may rise", "degrees"),
-            "elevation_deg": ("elevation angle of the horizon", "degrees"),
-            "distance_m": ("horizontal distance of the horizon", "m"),
+            "surface_deg": ("elevation angle up to which trees and houses may rise", DEGREES),
+            "elevation_deg": ("elevation angle of the horizon", DEGREES),
+            "distance_m": ("horizontal distance of the horizon", METRES),
         }
         count = len(self.shape)
         place = _DIMS.get(count, tuple(f"dim_{number}" for number in range(count)))
@@ -423,7 +423,7 @@ class LocalHorizons:
         data: Dataset = xarray.Dataset(
             {
                 **{
-                    name: (dims, getattr(self, name), {"long_name": long_name, "units": unit})
+                    name: (dims, getattr(self, name), {"long_name": long_name, **unit})
                     for name, (long_name, unit) in described.items()
                     if name != "surface_deg" or self.has_surface
                 },

@@ -30,17 +30,13 @@ from skyline.arrays import (
 from skyline.errors import InputError, printable, some_of
 from skyline.geodesy.bounds import Bounds
 from skyline.geodesy.map_frame import Frame
-from skyline.terrain.grid import Grid
+from skyline.terrain.grid import FINEST_M, Grid
 from skyline.terrain.lazy_heights import LazyHeights
 from skyline.terrain.metric_dem import MetricDem
 from skyline.terrain.provenance import Provenance
 
 Ground = Callable[[Float64Array, Float64Array], Float64Array]
 """Returns the heights in metres at eastings and northings, NaN off the map and on holes."""
-
-_LEAST_SPACING_M = 0.01
-"""Least spacing of samples. No model is finer; a grid in degrees read as metres would be (a second
-of arc is 0.0003 degrees)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +99,7 @@ class HeightField:
         if np.isinf([np.fmin.reduce(heights, axis=None), np.fmax.reduce(heights, axis=None)]).any():
             raise InputError("heights hold infinite values; mark holes with NaN")
         spacing = self.spacing_east_m, self.spacing_north_m
-        if not all(_LEAST_SPACING_M <= one < np.inf for one in spacing):
+        if not all(FINEST_M <= one < np.inf for one in spacing):
             raise InputError(
                 f"sample spacing is {spacing[0]} x {spacing[1]} m; expected a centimetre or more. "
                 "A grid in degrees needs a CRS in degrees, such as EPSG:4326, and is read by "
