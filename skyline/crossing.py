@@ -95,11 +95,7 @@ def cross(rays: Sequence[Ray], curvature: Curvature, pixel_sd_px: float = PIXEL_
         There are fewer than two rays, a pixel is outside its photo, or the rays are parallel within
         their errors or cross behind a camera.
     """
-    if len(rays) < 2:
-        raise InputError(
-            f"{len(rays)} ray was given; expected two photos or more of the same thing (for where "
-            "one photo's ray meets the ground, use `skyline pixels`)"
-        )
+    check_enough(len(rays))
     seen = [_Seen.of(ray, pixel_sd_px) for ray in rays]
     _check_apart(seen)
     place_m = _nearest(seen)
@@ -120,6 +116,15 @@ def cross(rays: Sequence[Ray], curvature: Curvature, pixel_sd_px: float = PIXEL_
         chi_square=misfit,
         probability=float(chdtrc(2 * len(rays) - 3, misfit)),
     )
+
+
+def check_enough(count: int) -> None:
+    """Raise `InputError` for fewer photos than cross."""
+    if count < 2:
+        raise InputError(
+            f"photos given: {count}; expected two photos or more of the same thing (for where one "
+            "photo's ray meets the ground, use `skyline pixels`)"
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

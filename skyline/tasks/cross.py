@@ -1,12 +1,11 @@
 """Where the same thing stands in two or more photos."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from skyline.camera import Pixel
-from skyline.crossing import Crossing, Ray, cross
+from skyline.crossing import Crossing, Ray, check_enough, cross
 from skyline.errors import InputError
 from skyline.pose_file import read_posed
 from skyline.tasks.listener import Listener
@@ -64,11 +63,7 @@ def cross_photos(task: CrossTask, listener: Listener) -> Crossed:
             f"{len(task.photos)} photos, {len(task.poses)} poses and {len(task.pixels)} pixels are "
             "given; expected one --pose and one --pixel for each photo, in the photos' order"
         )
-    if len(task.photos) < 2:
-        raise InputError(
-            "one photo is given; expected two or more of the same thing (`skyline pixels` tells "
-            "where the ray of one photo meets the ground)"
-        )
+    check_enough(len(task.photos))
     terrain = read_terrain(listener, task.dem, task.crs)
     with Viewer(terrain) as viewer:
         rays = [
@@ -89,11 +84,10 @@ def _ray(file: Path, pose: Path, pixel: Pixel, viewer: Viewer, listener: Listene
 def _on_map(found: Crossing, terrain: HeightField, assumed: str) -> Crossed:
     lon, lat = terrain.frame.to_lonlat(found.easting_m, found.northing_m)
     ground_m = float(terrain.height_at(easting_m=found.easting_m, northing_m=found.northing_m))
-    above_m = found.elevation_m - ground_m
     return Crossed(
         crossing=found,
         lon=float(lon),
         lat=float(lat),
-        above_ground_m=above_m if math.isfinite(above_m) else math.nan,
+        above_ground_m=found.elevation_m - ground_m,
         assumed=assumed,
     )
