@@ -212,24 +212,29 @@ def _unlimited_size() -> Iterator[None]:
             Image.MAX_IMAGE_PIXELS = before
 
 
-def shrink_if_large(name: str, image: Image.Image, limits: SizeLimits = LIMITS) -> None:
-    """Decode a large JPEG smaller, and refuse other large images.
+def check_one_picture(name: str, image: Image.Image) -> None:
+    """Raise `InputError` for a raw file, or a TIFF of several pictures or layers.
 
-    A raw file is refused as well: a TIFF whose first picture is a preview, with 1 as its
-    NewSubfileType; and so is a TIFF of several pictures or layers. Raises `InputError`.
+    The first picture of a raw file is a preview, with 1 as its NewSubfileType.
     """
-    width, height = image.size
-    if image.format == "TIFF" and image.getexif().get(Base.NewSubfileType) == 1:
+    if image.format != "TIFF":
+        return
+    if image.getexif().get(Base.NewSubfileType) == 1:
         raise InputError(
-            f"{name} begins with a preview of {width} x {height} px, as a raw file does; develop "
-            "it, and save it as JPEG, PNG or TIFF"
+            f"{name} begins with a preview of {image.width} x {image.height} px, as a raw file "
+            "does; develop it, and save it as JPEG, PNG or TIFF"
         )
     # A page that a caller has chosen is read.
-    if image.format == "TIFF" and not image.tell() and (others := _other_pages(image)):
+    if not image.tell() and (others := _other_pages(image)):
         raise InputError(
             f"{name} has {others + 1} pages or layers; expected one photo: flatten it, or save the "
             "page as a file of its own"
         )
+
+
+def shrink_if_large(name: str, image: Image.Image, limits: SizeLimits = LIMITS) -> None:
+    """Decode a large JPEG smaller; raises `InputError` for other large images."""
+    width, height = image.size
     if width * height <= limits.jpeg:
         for shrink in (2, 4, 8):
             if image.width * image.height > limits.decoded:

@@ -16,6 +16,7 @@ from skyline.errors import InputError
 from skyline.photo.borders import content_of
 from skyline.photo.image import (
     Picture,
+    check_one_picture,
     made_smaller,
     name_of,
     opened_image,
@@ -121,6 +122,7 @@ def read_photo(
     name = name_of(path)
     with opened_image(path) as image:
         full_px = image.size
+        check_one_picture(name, image)
         shrink_if_large(name, image)
         is_turned = _is_turned(image)
         upright = ImageOps.exif_transpose(image) if is_turned else image

@@ -25,6 +25,11 @@ _PAGE_ZOOM = 18
 _NAME_LENGTH = 100
 
 
+def area_id(stores: Sequence[Path]) -> str:
+    """Return the name by which the page asks for an area of stores."""
+    return hashlib.sha256(repr([str(one.resolve()) for one in stores]).encode()).hexdigest()
+
+
 class PageArea:
     """Stores of one DEM, opened for many sessions at a time.
 
@@ -49,7 +54,7 @@ class PageArea:
         peaks: Path | None,
         thread: RenderThread,
     ) -> None:
-        self.id = hashlib.sha256(repr([str(one.resolve()) for one in stores]).encode()).hexdigest()
+        self.id = area_id(stores)
         self.stores = stores
         self.matcher = Matcher(stores, dem, render_thread=thread)
         self.peaks = None if peaks is None else read_peaks(peaks, self.matcher.frame)

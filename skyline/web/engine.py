@@ -13,7 +13,7 @@ from skyline import Narrowing, RenderThread, SkylineError
 from skyline.cache import prepare_area
 from skyline.location import area_of
 from skyline.progress import Progress, Step, StepProgress
-from skyline.web.area import PageArea, shown_name
+from skyline.web.area import PageArea, area_id, shown_name
 
 T = TypeVar("T")
 
@@ -99,10 +99,10 @@ class Engine:
 
     def _opened(self, stores: Sequence[Path], dem: list[str] | None) -> PageArea:
         """Return the area of stores, opened only once."""
-        named = {str(one.stores): one for one in self.areas.values()}
-        area = named.get(str(stores)) or PageArea(stores, dem, self._peaks, self.thread)
-        self.areas[area.id] = area
-        return area
+        name = area_id(stores)
+        if name not in self.areas:
+            self.areas[name] = PageArea(stores, dem, self._peaks, self.thread)
+        return self.areas[name]
 
     def close(self) -> None:
         """End all work, close the stores and release the renderer."""
