@@ -2,11 +2,10 @@
 
 An area is the folder ``CACHE/areas/ORIGIN/W_S_E_N``. It holds the store, ``places-DIGEST.h5``, and
 the elevation model as it was read, ``places-DIGEST-FORM.terrain``; also ``tiles/``, unless the user
-gave the DEM. ORIGIN contains a digest of the source. If the user gave the DEM, it contains a digest
-of the names, sizes and times of its files and of the files that GDAL reads beside them, or of the
-heights of a model in memory. DIGEST
-covers everything else on which a store's rows depend. A store appears when it is finished, so a
-search that finds one needs no server.
+gave the DEM. ORIGIN contains a digest of the source: of a DEM that the user gave, the names, sizes
+and times of its files and of the files that GDAL reads beside them, or the heights of a model in
+memory. DIGEST covers everything else on which a store's rows depend. A store appears when it is
+finished, so a search that finds one needs no server.
 """
 
 import errno

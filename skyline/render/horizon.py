@@ -118,8 +118,8 @@ class RenderedScene:
         self._loading.start()
 
     @cached_property
-    def edge(self) -> DataEdge | None:
-        """Edge of the terrain's data; None if nothing lies past it."""
+    def edge(self) -> DataEdge:
+        """Edge of the terrain's data."""
         return DataEdge.of(self._terrain, self._curvature)
 
     def render(

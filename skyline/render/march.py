@@ -117,7 +117,7 @@ class Eyes:
 
     def nearest_of(self, windows: Sequence[Window]) -> IntArray:
         """Return the index (N,) of each eye's own or nearest window."""
-        gap_m = np.stack([np.hypot(*self._gap_m(one, self._position).T) for one in windows])
+        gap_m = np.stack([np.hypot(*self._gap_m(one).T) for one in windows])
         return np.asarray(gap_m.argmin(axis=0))
 
     def may_rise_to(
@@ -130,7 +130,7 @@ class Eyes:
         """
         right, ahead = self._across_and_ahead(window)
         # In a wedge of 90 degrees the depth is at least the distance over the root of 2.
-        gap_m = self._gap_m(window, self._position)
+        gap_m = self._gap_m(window)
         nearest = np.maximum(ahead[0], np.hypot(*gap_m.T) / np.sqrt(2.0))
         drop_m = drop_per_m2 * (gap_m[:, 0] ** 2 + gap_m[:, 1] ** 2)
         # A metre covers all rounding.
@@ -161,14 +161,11 @@ class Eyes:
         right, ahead = np.moveaxis(np.einsum("ngk,enk->eng", turn, ground), -1, 0)
         return np.sort(right, axis=0), np.sort(ahead, axis=0)
 
-    def _gap_m(self, window: Window, position: Float64Array) -> Float64Array:
-        """Return how far positions lie from a window, along each axis.
-
-        Positions (..., 2) are rows and columns; distances (..., 2) are metres.
-        """
+    def _gap_m(self, window: Window) -> Float64Array:
+        """Return how far the eyes lie from a window, metres (N, 2) down and across."""
         first = np.array([window.row, window.col])
         last = first + np.array([window.rows, window.cols]) - 1
-        outside = np.maximum(np.maximum(first - position, position - last), 0.0)
+        outside = np.maximum(np.maximum(first - self._position, self._position - last), 0.0)
         return np.asarray(outside * self._spacing_m, dtype=np.float64)
 
 

@@ -80,8 +80,8 @@ def ground_elevation_deg(
     """
     position_m = eye.easting_m[0], eye.northing_m[0]
     ground_m = heights_along(terrain, *position_m, grid_rad, distance_m)
-    drop_m = eye.eye_elevation_m[0] + curvature.drop_m(distance_m)
-    up_deg = np.degrees(np.arctan((ground_m - drop_m) / distance_m))
+    level_m = eye.eye_elevation_m[0] + curvature.drop_m(distance_m)
+    up_deg = np.degrees(np.arctan((ground_m - level_m) / distance_m))
     return np.asarray(np.nan_to_num(up_deg, nan=-90.0))
 
 
