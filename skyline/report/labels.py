@@ -1,39 +1,15 @@
-"""Matplotlib figures as files, and labels of peaks placed without overlaps."""
+"""Labels of peaks, placed without overlaps."""
 
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any, Generic
 
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from skyline.errors import some_of
-from skyline.files import has_mark
 from skyline.fonts import fonts_for, packages_with, undrawn_letters
 from skyline.sightings import S, Sighting
-
-_MARK = "Software", "Skyline"
-"""Name and content of a text in all PNG files that are written here."""
-_OPTIONS: dict[str, dict[str, Any]] = {
-    "png": {"pil_kwargs": {"compress_level": 4}, "metadata": dict([_MARK])},
-    "jpeg": {"pil_kwargs": {"quality": 88, "subsampling": 0}},
-}
-"""JPEG options: without optimization a file has a tenth more bytes, but takes half the time; with
-reduced colour resolution, thin coloured lines would fade."""
-
-
-def encode_figure(figure: Figure, kind: str = "png") -> bytes:
-    """Return a figure at its resolution as ``png``, ``jpeg``, ``svg`` or ``pdf``."""
-    picture = io.BytesIO()
-    figure.savefig(picture, format=kind, dpi="figure", **_OPTIONS.get(kind, {}))
-    return picture.getvalue()
-
-
-def is_figure(path: Path) -> bool:
-    """Return whether a file is a PNG made by `encode_figure`."""
-    return has_mark(path, b"\0".join(text.encode() for text in _MARK))
 
 
 @dataclass(frozen=True, slots=True)

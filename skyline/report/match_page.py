@@ -19,9 +19,10 @@ from skyline.photo.read import read_picture
 from skyline.photo.skyline import PhotoSkyline
 from skyline.pose import COLUMNS, Ellipse, Pose
 from skyline.report.exports import export_matches
+from skyline.report.figure_files import encode_figure
 from skyline.report.folder import CANDIDATES, check_report_folder
 from skyline.report.html import figures, page, picture, section, table, text
-from skyline.report.labels import UnnamedPeaks, encode_figure
+from skyline.report.labels import UnnamedPeaks
 from skyline.report.maps import detail_area, draw_match_map, overview_area
 from skyline.report.overlay import draw_overlay
 from skyline.sightings import Sighting

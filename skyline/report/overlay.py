@@ -15,9 +15,9 @@ from skyline.arrays import UInt8Array
 from skyline.ground_shapes import PhotoShape
 from skyline.photo.skyline import PhotoSkyline
 from skyline.pose import Pose
+from skyline.report.figure_files import encode_figure
 from skyline.report.labels import (
     UnnamedPeaks,
-    encode_figure,
     labels_of,
     place_labels,
     with_distance,

@@ -19,10 +19,10 @@ from skyline.errors import suffix_of
 from skyline.files import write_whole
 from skyline.geodesy.bounds import degrees_in_words
 from skyline.peaks import Peaks
+from skyline.report.figure_files import encode_figure
 from skyline.report.labels import (
     Label,
     UnnamedPeaks,
-    encode_figure,
     labels_of,
     place_labels,
     with_distance,

@@ -20,7 +20,7 @@ from skyline.paper.planners import Coverage
 from skyline.progress import Progress
 from skyline.render.depth import DepthRenderer
 from skyline.render.horizon import RenderConfig
-from skyline.report.labels import encode_figure, is_figure
+from skyline.report.figure_files import encode_figure, is_figure
 from skyline.report.maps import draw_bearings, draw_relief
 from skyline.skylines import HEADINGS, Views
 from skyline.terrain.heightfield import HeightField

@@ -9,7 +9,8 @@ from scenes import candidate_at, field_from
 
 from skyline import PanoramaConfig, Peaks, save_panorama, stand_on
 from skyline.photo.skyline import PhotoSkyline
-from skyline.report.labels import UnnamedPeaks, encode_figure
+from skyline.report.figure_files import encode_figure
+from skyline.report.labels import UnnamedPeaks
 from skyline.report.maps import detail_area, draw_match_map
 from skyline.report.overlay import draw_labels, draw_overlay
 from skyline.report.panorama import draw_panorama

@@ -21,7 +21,8 @@ from skyline.match.result import MatchResult
 from skyline.peaks import Peaks
 from skyline.photo.skyline import PhotoSkyline
 from skyline.report import exports
-from skyline.report.labels import encode_figure, place_labels
+from skyline.report.figure_files import encode_figure
+from skyline.report.labels import place_labels
 from skyline.report.maps import detail_area, draw_match_map
 from skyline.report.match_page import report_matches
 from skyline.report.overlay import draw_overlay
