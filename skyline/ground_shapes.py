@@ -16,8 +16,8 @@ from skyline.camera import in_picture
 from skyline.errors import InputError
 from skyline.geodesy.map_frame import Frame
 from skyline.ground import GroundErrors, GroundPixels, GroundPoints, GroundView
+from skyline.shapes import POINT, POLYGON, Shape
 from skyline.terrain.height_errors import height_correlation
-from skyline.vectors import POINT, POLYGON, Shape
 
 _STEP_PX = 4.0
 """Longest piece of a photo's line."""

@@ -34,9 +34,9 @@ from skyline.cli.terminal import Terminal
 from skyline.control_points import KnownCamera, PointErrors, fit_points
 from skyline.ground_shapes import GroundShape, on_ground
 from skyline.point_files import ControlPoints
+from skyline.shapes import POLYGON, Shape
 from skyline.survey.plans import map_bounds
 from skyline.terrain.provenance import DemOptions
-from skyline.vectors import POLYGON, Shape
 from skyline_bench import options
 from skyline_bench.measuring import Row, square_km
 from skyline_bench.noted_heights import BESIDE_M

@@ -17,6 +17,7 @@ from skyline.errors import FetchError, InputError, one_line, printable, suffix_o
 from skyline.fetch.remote import PASSING, PATIENT, Patience, RequestError, repeated
 from skyline.files import GEOJSON, STANDARD, write_whole
 from skyline.geodesy.bounds import Bounds, check_bounds
+from skyline.geojson import Json, collection, feature
 from skyline.terrain.raster_files import without_secrets
 
 DEFAULT_SERVER = "https://overpass-api.de/api/interpreter"
@@ -55,12 +56,8 @@ def fetch_peaks(bounds_deg: Bounds, server: str, path: Path, patience: Patience 
         raise FetchError(
             f"{without_secrets(server)} knows no named peak in the bounds; choose larger bounds"
         )
-    collection = {
-        "type": "FeatureCollection",
-        "attribution": "OpenStreetMap contributors, ODbL",
-        "features": features,
-    }
-    write_whole(path, json.dumps(collection, ensure_ascii=False, indent=1) + "\n")
+    content = collection(features, attribution="OpenStreetMap contributors, ODbL")
+    write_whole(path, json.dumps(content, ensure_ascii=False, indent=1) + "\n")
     return len(features)
 
 
@@ -114,7 +111,7 @@ def _elements(server: str, answer: bytes) -> list[Any]:
 
 def _feature(
     server: str, element: Any, lats: tuple[float, float], spans: list[tuple[float, float]]
-) -> dict[str, object]:
+) -> Json:
     """Return a GeoJSON feature; `FetchError` unless a named peak in the box."""
     try:
         lon = float(element["lon"])
@@ -133,5 +130,4 @@ def _feature(
     properties = {"name": printable(name)}
     if height is not None:
         properties["ele"] = printable(str(height))
-    geometry = {"type": "Point", "coordinates": [lon, lat]}
-    return {"type": "Feature", "properties": properties, "geometry": geometry}
+    return feature("Point", [lon, lat], properties)

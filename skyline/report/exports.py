@@ -29,11 +29,11 @@ from skyline.errors import InputError, printable, suffix_of
 from skyline.files import STANDARD, write_whole
 from skyline.geodesy.antimeridian import lonlat_rings
 from skyline.geodesy.map_frame import Frame
+from skyline.geojson import Json, collection, feature
 from skyline.match.result import MatchResult, listed
 from skyline.photo.read import read_picture
 from skyline.photo.skyline import PhotoSkyline
 from skyline.pose import COLUMNS, Ellipse, Pose, view_wedge_m
-from skyline.report.geojson import Json, collection, feature
 from skyline.report.kml import add, add_polygon, kml_document, xml_bytes
 from skyline.store.read import Store
 

@@ -12,12 +12,13 @@ from skyline.arrays import Float64Array
 from skyline.errors import library, suffix_of
 from skyline.files import GEOJSON, write_whole
 from skyline.geodesy.map_frame import Frame
+from skyline.geojson import Json, collection, feature
 from skyline.ground import GroundPoints
 from skyline.ground_shapes import GroundShape, PhotoShape
 from skyline.photo.skyline import PhotoSkyline
-from skyline.report.geojson import Json, collection, feature
 from skyline.report.kml import add, add_coordinates, add_polygon, kml_document, xml_bytes
-from skyline.vectors import LINE, PHOTO_MEMBER, POINT, POLYGON, VERTICES_LAYER
+from skyline.shapes import LINE, POINT, POLYGON
+from skyline.vectors import PHOTO_MEMBER, VERTICES_LAYER
 
 MAP_FILES = (*GEOJSON, ".gpkg", ".kml")
 """Suffixes of shapes on the map."""

@@ -12,7 +12,7 @@ from skyline.geodesy.earth import Curvature
 from skyline.ground import GroundErrors
 from skyline.ground_shapes import in_photo, on_ground
 from skyline.photo.skyline import PhotoSkyline
-from skyline.vectors import LINE, POINT, POLYGON, Shape
+from skyline.shapes import LINE, POINT, POLYGON, Shape
 from skyline.view import Viewer
 
 PHOTO = PhotoSkyline(np.full(400, np.nan), np.zeros(400), 400, 300)

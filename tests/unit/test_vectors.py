@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from skyline.errors import InputError, MissingFileError
-from skyline.vectors import LINE, POINT, POLYGON, read_vectors
+from skyline.shapes import LINE, POINT, POLYGON
+from skyline.vectors import read_vectors
 
 SQUARE = [[10.0, 20.0], [30.0, 20.0], [30.0, 40.0], [10.0, 40.0]]
 PIXELS = np.array(SQUARE) - 0.5
@@ -216,7 +217,7 @@ def test_waypoints_and_segments_of_gpx(read):
     ],
 )
 def test_files_that_hold_no_shapes_are_refused(read, name, content):
-    with pytest.raises(InputError):
+    with pytest.raises(InputError, match=rf"{name}\W.* (expected|give) "):
         read(name, content)
 
 
