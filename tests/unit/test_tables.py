@@ -2,10 +2,7 @@
 
 import csv
 import io
-import os
 import sys
-from pathlib import Path
-from threading import Thread
 
 import numpy as np
 import pytest
@@ -13,7 +10,6 @@ from commands import csv_of
 from scenes import field_of
 
 from skyline.errors import InputError
-from skyline.files import write_whole
 from skyline.photo.trace import read_trace
 from skyline.tables import csv_lines, is_table, read_table
 from skyline.terrain.viewpoints import read_viewpoints
@@ -100,34 +96,6 @@ def test_standard_input_is_read_and_its_kind_is_seen(monkeypatch):
             assert read_table("-", "").rows[0].label == "1"
 
 
-def test_missing_folders_of_a_file_are_made(tmp_path):
-    write_whole(tmp_path / "new" / "folder" / "a.csv", "one")
-    assert (tmp_path / "new" / "folder" / "a.csv").read_text() == "one"
-    with pytest.raises(InputError, match="cannot be written"):
-        write_whole(tmp_path / "new" / "folder" / "a.csv" / "b.csv", "two")
-
-
-def test_links_stay_and_pipes_are_written(tmp_path):
-    (tmp_path / "first.csv").touch()
-    link = tmp_path / "latest.csv"
-    link.symlink_to("first.csv")
-    write_whole(link, "one")
-    assert (link.is_symlink(), (tmp_path / "first.csv").read_text()) == (True, "one")
-    os.mkfifo(tmp_path / "pipe")
-    read = []
-    reader = Thread(target=lambda: read.append((tmp_path / "pipe").read_text()), daemon=True)
-    reader.start()
-    write_whole(tmp_path / "pipe", "two")
-    reader.join(timeout=10.0)
-    assert (read, (tmp_path / "pipe").is_fifo()) == (["two"], True)
-    out, into = os.pipe()
-    write_whole(Path(f"/dev/fd/{into}"), "three")
-    assert os.read(out, 9) == b"three"
-    for pipe in (out, into):
-        os.close(pipe)
-    assert {one.name for one in tmp_path.iterdir()} == {"first.csv", "latest.csv", "pipe"}
-
-
 FORMULAS = [
     "=1+1", "+A1", "-2+3", "@SUM(A1)", "=cmd|' /C calc'!A0", '=HYPERLINK("http://a";"b")', "-",
     "-3.5 m", "+41 81 1", "\uff1d1+1", "'=1+1",
@@ -164,20 +132,6 @@ def test_numbers_and_other_texts_are_written_as_they_are(tmp_path, text):
 
 def test_a_number_that_another_program_has_guarded_is_read(tmp_path):
     assert places(tmp_path / "a.csv", "name,lon,lat\nA,'-9.85,'+46.75\n") == [("A", -9.85, 46.75)]
-
-
-def test_two_that_write_a_file_at_once_both_write_it_whole(tmp_path, monkeypatch):
-    path, replace = tmp_path / "table.csv", Path.replace
-
-    def replace_late(partial, target):
-        monkeypatch.undo()
-        write_whole(path, "of the other")
-        return replace(partial, target)
-
-    monkeypatch.setattr(Path, "replace", replace_late)
-    write_whole(path, "of this one")
-    assert path.read_text() == "of this one"
-    assert list(tmp_path.iterdir()) == [path]
 
 
 @pytest.mark.parametrize(
