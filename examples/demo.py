@@ -19,7 +19,7 @@ from rich.table import Table
 
 from skyline.match.matcher import FULL, Matcher
 from skyline.match.result import MatchResult
-from skyline.photo.overlay import write_overlay
+from skyline.photo.drawn_skyline import write_overlay
 from skyline.render.depth import DepthRenderer
 from skyline.render.horizon import RenderConfig
 from skyline.report.match_page import report_matches

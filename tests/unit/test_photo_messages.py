@@ -17,9 +17,9 @@ from skyline.camera import Projection
 from skyline.errors import InputError, MissingFileError, OffMapError
 from skyline.match.areas import paths_of
 from skyline.match.narrowing import Narrowing
+from skyline.photo.drawn_skyline import write_overlay
 from skyline.photo.extract import extract_skyline
 from skyline.photo.image import SizeLimits, opened_image, photos_in, shrink_if_large
-from skyline.photo.overlay import write_overlay
 from skyline.photo.photo import read_photo
 from skyline.photo.read import named_skyline, read_skyline
 from skyline.photo.skyline import PhotoSkyline

@@ -9,7 +9,7 @@ from PIL import Image
 
 from skyline import batch
 from skyline.errors import InputError
-from skyline.photo.overlay import write_overlay
+from skyline.photo.drawn_skyline import write_overlay
 from skyline.photo.photo import read_photo
 from skyline.photo.read import read_skyline
 from skyline.photo.skyline import PhotoSkyline
