@@ -1,86 +1,23 @@
-"""Messages of mistakes, and options whose names and meanings go one to one."""
+"""Messages of mistakes that a command tells without a server."""
 
 import json
 import logging
-import os
-import re
 import shutil
-from collections import namedtuple
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import assert_refused, csv_of, gps_of, lonlat_of, noting
+from commands import assert_refused, csv_of, lonlat_of
 from packages import install
-from range_server import Behaviour, serve, serve_apart
 from refusals import assert_says
-from remote_scenes import SIGNATURE, files_beside, on_server
-from scenes import NORTH_M, WEST_M, across_antimeridian, degree_tile, fractal, write_dem
+from scenes import NORTH_M, WEST_M, across_antimeridian, fractal, write_dem
 
-from skyline import Frame, Matcher, Narrowing, cli, open_store, read_dem
-from skyline.cache import cached_areas
-from skyline.errors import FetchError, InputError, start_logging
-from skyline.fetch.overpass import fetch_peaks
-from skyline.fetch.remote import Patience
+from skyline import Frame, open_store, read_dem
+from skyline.errors import start_logging
 from skyline.files import check_outputs
-from skyline.location import area_of
 from skyline.report.results_file import ResultsFile
 from skyline.store.write import write_store
-
-
-def options():
-    """Yield the command and the options of every command."""
-    for names in cli.COMMANDS.values():
-        for name in names:
-            command = cli.loaded(name)
-            for sub in getattr(command, "commands", {"": command}).values():
-                yield (
-                    f"{name} {sub.name}",
-                    [one for one in sub.params if one.param_type_name == "option"],
-                )
-
-
-def test_an_option_takes_the_same_in_every_command():
-    """Files and folders that are written differ by their kind alone."""
-    taken = {}
-    for command, some in options():
-        for option in some:
-            if option.metavar and "--output" not in option.opts:
-                taken.setdefault(option.opts[0], {}).setdefault(option.metavar, command)
-    assert {name: found for name, found in taken.items() if len(found) > 1} == {}
-
-
-def test_what_is_known_of_a_photo_is_said_to_locate_as_to_match():
-    known = {
-        command: {
-            option.opts[0]
-            for option in some
-            if option.rich_help_panel == "The photos"
-            or option.opts[0] in {"--fov-deg", "--near", "--bounds"}
-        }
-        for command, some in options()
-    }
-    assert known["locate locate"] == known["match match"]
-    assert {"--heading", "--eye-height", "--use-gps"} <= known["locate locate"]
-
-
-@pytest.mark.parametrize("command", [(), ("match",), ("dem", "fetch")])
-def test_h_is_help(run, command):
-    short = run(*command, "-h").ok()
-    assert short.out == run(*command, "--help").out
-    assert "Usage" in short.out
-
-
-def test_help_fills_its_lines(run, monkeypatch):
-    monkeypatch.setenv("COLUMNS", "200")
-    shown = run("horizon", "--help").ok().out
-    assert "With --photo, it follows the photo's skyline where the photo shows one." in shown
-
-
-def test_v_is_the_version(run):
-    assert run("-v").ok().out == run("--version").out
 
 
 def test_a_photo_before_the_store_is_told(run, store, photo):
@@ -99,11 +36,6 @@ def test_a_missing_store_is_not_called_a_dem(run, tmp_path, name):
 
 def test_a_store_in_place_of_a_dem_is_told(run, store):
     assert_refused(run("horizon", store, "--at", "10.33,46.74"), "is a store; name the elevation")
-
-
-def test_other_bounds_for_a_store_are_explained(run):
-    shown = " ".join(run("build", "--help").ok().out.replace("│", " ").split())
-    assert "If it exists, the places of other --bounds are added to it" in shown
 
 
 def test_a_warning_looks_like_an_error(capsys):
@@ -143,7 +75,7 @@ MISTAKES = [
     ),
     ("build {dem} -o {out} --spacing 1e9", "choose a smaller spacing"),
     ("build {dem} -o {out} --bounds 46.74,10.32,46.75,10.34", "give 10.32,46.74,10."),
-    ("build {dem} -o {tmp}/no/folder.h5", "folder"),
+    ("build {dem} -o {tmp}/no/folder.h5", "no does not exist; make it first"),
     ("dem fetch --bounds 9.4,46.4 -o {out}", "expected W,S,E,N in degrees"),
     (
         "peaks --bounds 9,46,10,47 --server file:///etc/passwd -o {tmp}/p.geojson",
@@ -161,7 +93,7 @@ MISTAKES = [
     ("match {renderings} {photo} --matcher paper", "--fov-deg"),
     ("match {store} {renderings}", "are stores; name photos to find in them"),
     ("match {store} {tmp}", "has no pictures"),
-    ("match {tmp}/none.h5 {photo} --fov-deg 60", "none.h5"),
+    ("match {tmp}/none.h5 {photo} --fov-deg 60", "none.h5 does not exist; check"),
     ("match {renderings} {photo} --fov-deg 60", "holds renderings, not places"),
     ("match {store} {photo} --fov-deg 60 --matcher magic", "'magic'"),
     ("match {store} {photo} --fov-deg 60 --matcher paper", "holds places, not renderings"),
@@ -189,7 +121,7 @@ MISTAKES = [
         "match {store} {photo} --fov-deg 60 --surface {dem} --matcher paper",
         "a surface is used in refinement",
     ),
-    ("match {store} {photo} --fov-deg 60 --surface none.tif", "no file"),
+    ("match {store} {photo} --fov-deg 60 --surface none.tif", "there is no file none.tif"),
     (
         "match {store} {photo} --fov-deg 60 --bounds 9.0,46.0,9.1,46.1",
         "lies within what the search is narrowed to",
@@ -250,7 +182,10 @@ MISTAKES = [
         "does not exist; expected JSON as",
     ),
     ("label {photo} --pose {pose} --dem {dem} --peaks {tmp}/none.csv -o {tmp}/n.png", "gazetteer"),
-    ("label {photo} --pose {pose} --dem {tmp}/none.tif --peaks {peaks} -o {tmp}/n.png", "none.tif"),
+    (
+        "label {photo} --pose {pose} --dem {tmp}/none.tif --peaks {peaks} -o {tmp}/n.png",
+        "there is no file",
+    ),
     ("pixels {photo} --pose {pose} --dem {dem} -o {tmp}/p.csv", "expected one of .npz, .tif"),
     ("pixels {photo} --pose {pose} --dem {dem} -o {dem}", "is an input"),
     # A store in place of an elevation model or of a photo
@@ -263,7 +198,10 @@ MISTAKES = [
     ("orient {store} --dem {dem} --at {at}", "is a store; expected a photo, a sky mask or a trace"),
     ("extract {store} -o {tmp}/t.csv", "is a store; expected a photo, a sky mask or a trace"),
     ("locate {store} --near {at},2 --dem {dem}", "is a store; expected a photo"),
-    ("locate {peaks} {file} --near {at},2 --dem {dem}", "expected"),
+    (
+        "locate {peaks} {file} --near {at},2 --dem {dem}",
+        "starts with 'name,easting,northing'; expected",
+    ),
     # Folders in place of files, and arguments left out
     ("orient {photo} --dem {dem} --at {at} -o {tmp}", "is a folder; name a file for the output"),
     ("extract {photo} -o {tmp}", "is a folder; name a file for the output"),
@@ -302,7 +240,7 @@ MISTAKES = [
     ("panorama {dem} --at {at} -o {tmp}/p.svg --fov-deg 2", "expected a field of view of 5 to 360"),
     ("panorama {dem} --at {at} -o {tmp}/p.svg --peaks {photo}", "cannot be read"),
     # Outputs of another format
-    ("horizon {dem} --at {at} -o {tmp}/new.png", "new.png"),
+    ("horizon {dem} --at {at} -o {tmp}/new.png", "is '.png'; expected one of .csv"),
     ("match {store} {photo} --report {tmp}/new.html", "promises a file"),
     # Old names
     ("horizon dem.tif --points p.csv", "--viewpoints"),
@@ -503,13 +441,18 @@ def test_geojson_that_is_none_is_named(run, dem, tmp_path, text):
     assert_refused(run(*panorama, "--peaks", tmp_path / "peaks.geojson"), "peaks.geojson")
 
 
-class TestLabels:
-    def test_at_a_place_that_does_not_fit(self, run, read, tmp_path):
-        elsewhere = "{},{}".format(*lonlat_of(read["dem"], 600_900.0, 5_177_000.0))
-        common = "label", read["photo"], "--dem", read["dem"], "--peaks", read["peaks"]
-        done = run(*common, "-o", tmp_path / "n.json", "--at", elsewhere, "--fov-deg", 60)
-        assert_refused(done, "direction is not sure")
+def test_labels_at_a_place_that_does_not_fit(run, read, tmp_path):
+    elsewhere = "{},{}".format(*lonlat_of(read["dem"], 600_900.0, 5_177_000.0))
+    common = "label", read["photo"], "--dem", read["dem"], "--peaks", read["peaks"]
+    done = run(*common, "-o", tmp_path / "n.json", "--at", elsewhere, "--fov-deg", 60)
+    assert_refused(done, "direction is not sure")
 
+
+def test_two_outputs_of_one_name(dem):
+    assert_says("the name of two outputs", lambda: check_outputs([dem, None, dem], []))
+
+
+class TestPixels:
     def test_of_a_pose_that_is_no_answer(self, run, read, tmp_path):
         record, path = json.loads(read["pose"].read_text()), tmp_path / "pose.json"
         photo = {"photo": str(read["photo"])}
@@ -538,9 +481,6 @@ class TestLabels:
         shutil.copy(read["dem"], tmp_path / "dem.tif")
         done = pixels_of(run, read | {"dem": tmp_path}, tmp_path / name)
         assert_refused(done, "would become a part of the DEM")
-
-    def test_to_two_outputs_of_one_name(self, dem):
-        assert_says("the name of two outputs", lambda: check_outputs([dem, None, dem], []))
 
 
 def pixels_of(run, read, out):
@@ -645,172 +585,3 @@ def test_a_store_that_is_damaged(run, request, tmp_path, kind):
     data[len(data) // 2] ^= 4
     (tmp_path / "damaged.h5").write_bytes(data)
     assert_refused(run("store", "check", tmp_path / "damaged.h5"), "is damaged")
-
-
-GAVE_UP = b'{"elements": [], "remark": "runtime error: timed out"}'
-
-
-@pytest.mark.parametrize(
-    ("server", "said"),
-    [
-        ({"status": {"/api": 500}}, "the server answers HTTP 500, not tried again"),
-        ({"delay_s": 30.0}, "no whole answer (timed out)"),
-        ({"drip_s": 0.2}, "incomplete after 1 s"),
-        ({"files": {"/api": b"<html>Welcome</html>"}}, "not one of Overpass (it begins `<html>"),
-        ({"files": {"/api": b"[" * 100_000}}, "not one of Overpass"),
-        ({"files": {"/api": b'{"elements": []}'}}, "knows no named peak in the bounds"),
-        ({"files": {"/api": GAVE_UP}}, "the server gave up (runtime error: timed out)"),
-    ],
-)
-def test_a_server_of_peaks_that_fails_lies_or_hangs(run, tmp_path, monkeypatch, server, said):
-    hasty = partial(fetch_peaks, patience=Patience(retries=0, timeout_s=1))
-    monkeypatch.setattr("skyline.cli.peaks.fetch_peaks", hasty)
-    behaviour = Behaviour(**{"files": {"/api": b'{"elements": [1, 2, 3]}'}} | server)
-    with serve(behaviour) as address:
-        fetch = "peaks", "--bounds", "9.6,46.5,9.8,46.7", "--server", f"{address}/api"
-        done = run(*fetch, "-o", tmp_path / "peaks.geojson")
-    assert done.code == 1, done
-    assert_refused(replace(done, code=2), said)
-
-
-NEAR = "9.5,46.5,1.5"
-
-
-class TestLocate:
-    @pytest.mark.parametrize(
-        ("arguments", "said"),
-        [
-            ("{photo}", "notes no position; say where to search: --near LON,LAT,KM"),
-            (f"{{none}} --near {NEAR}", "does not exist"),
-            ("{photo} --near 7.5,46.5,1 --dem {dem}", "do not meet the DEM"),
-            ("{photo} --near 8.99,46.5,2 --dem {dem}", "not the place 8.99"),
-            (f"{{photo}} --near {NEAR} --dem {{sea}}", "nothing but sea or holes"),
-            ("{photo} --near 9.5,46.5,1 --dem {empty}", "no elevation files"),
-            ("{photo} --near Davos", "with --peaks FILE a name in that file"),
-            ("{photo} --near Nan,5", "with --peaks FILE a name in that file"),
-            ("{photo} --bounds 9.5,46.5,1e-9,1", "bounds are 9.5,46.5,1e-09,1.0"),
-            ("{photo} --near Davo,2 --peaks {places}", "no place named Davo: Davos?"),
-            ("{photo} --near sella --peaks {places}", "sella, at 9.4000,46.4000 and 9.6"),
-        ],
-    )
-    def test_a_mistake_is_one_line_after_the_notes(
-        self, run, one_degree, cache, tmp_path, arguments, said
-    ):
-        (tmp_path / "empty").mkdir()
-        sea = np.zeros((240, 240), np.float32)
-        (tmp_path / "sea.tif").write_bytes(degree_tile(sea, 9, 46))
-        names = {"sea": "sea.tif", "none": "none.jpg", "empty": "empty", "places": "places.csv"}
-        given = {name: tmp_path / file for name, file in names.items()}
-        given |= {"photo": one_degree / "photo.jpg", "dem": one_degree / "dem.tif"}
-        rows = ["Davos,46.5,9.5", "Sella,46.4,9.4", "Sella,46.6,9.6"]
-        csv_of(given["places"], rows, "name,lat,lon")
-        done = run("locate", *(word.format(**given) for word in arguments.split()))
-        notes, _, error = done.err.rstrip("\n").rpartition("\n")
-        assert "error" not in notes
-        assert_refused(replace(done, err=f"{error}\n"), said)
-        assert not list(cache.rglob("*.h5"))
-        assert cached_areas() == []
-
-    @pytest.fixture
-    def locate(self, run, one_degree, cache):
-        """Return a function that locates the photo with options."""
-        return lambda *options: run("locate", one_degree / "photo.jpg", "--fov-deg", 60, *options)
-
-    @pytest.mark.usefixtures("tile_server")
-    def test_what_is_kept_and_where_the_report_is(self, locate, cache):
-        done = locate("--near", NEAR, "--report", "page").ok()
-        assert f"{cache}" in done.err
-        assert "report: page/index.html" in done.out + done.err
-        again = locate("--near", NEAR).ok()
-        assert "in the cache already" in again.err
-        assert "reading the elevation model" not in again.err
-
-    @pytest.mark.parametrize(
-        ("tile", "status", "said"),
-        [
-            ("N46E009", 503, "503.* --dem"),
-            ("N46E009", 404, "usual in the sea"),
-            ("N46E010", 403, "1 of 2 tiles could not be fetched, N46E010: "),
-        ],
-    )
-    def test_a_server_that_fails(self, locate, tile_server, tile, status, said):
-        tile_server.status[f"/{tile}.tif"] = status
-        done = locate("--near", "9.95,46.5,1.5" if tile == "N46E010" else NEAR)
-        assert re.search(said, done.err.splitlines()[-1])
-
-    def test_a_tile_that_a_server_does_not_have(self, locate, tile_server):
-        tile_server.status["/N46E010.tif"] = 404
-        said = "no tile (usually sea) for N46E010"
-        assert said in locate("--near", "9.95,46.5,1.5").ok().err
-
-    @pytest.mark.usefixtures("tile_server")
-    def test_a_cache_without_room_or_rights(self, locate, tmp_path, monkeypatch):
-        usage = namedtuple("usage", "total used free")
-        with monkeypatch.context() as patch:
-            patch.setattr(shutil, "disk_usage", lambda _: usage(9, 9, 0))
-            assert "0 MB are free" in locate("--near", NEAR).err.splitlines()[-1]
-        (tmp_path / "file").write_text("")
-        monkeypatch.setenv("SKYLINE_CACHE", str(tmp_path / "file"))
-        assert_refused(locate("--near", NEAR), "name another folder with SKYLINE_CACHE")
-
-    def test_photos_that_are_far_apart(self, run, one_degree, tmp_path):
-        photos = [
-            noting(one_degree / "photo.jpg", tmp_path / f"{lon}.jpg", gps=gps_of(lon, 46.5))
-            for lon in (9.5, 109.5)
-        ]
-        assert_says("more than 50 km apart", lambda: area_of(photos, Narrowing()))
-
-
-def test_a_fetch_with_a_tile_that_is_refused(run, tile_server, tmp_path):
-    tile_server.status["/N46E010.tif"] = 403
-    source = os.environ["SKYLINE_DEM_SOURCE"]
-    fetch = "dem", "fetch", "--bounds", "9.9,46.4,10.1,46.6", "-o", tmp_path, "--source", source
-    assert "1 of 2 tiles could not be fetched, N46E010: " in run(*fetch).err
-
-
-class TestRemoteDems:
-    @pytest.fixture(scope="class")
-    def server(self):
-        with serve_apart(on_server) as apart:
-            yield apart
-
-    @pytest.fixture(scope="class")
-    def folder(self, server, tmp_path_factory):
-        return files_beside(server.address, tmp_path_factory.mktemp("dems"))
-
-    @pytest.mark.parametrize(
-        ("name", "error", "said"),
-        [
-            ("{server}/gone.tif", FetchError, "404.*check the address"),
-            ("http://127.0.0.1:9/a.tif", FetchError, "[Cc]onnect.*whether the server is up"),
-            ("{folder}/gone.json", FetchError, "gone.tif"),
-            (
-                "http://me:secret@127.0.0.1:9/a.tif?key=secret",
-                FetchError,
-                "^http://127.0.0.1:9/a.tif (?!.*secret)",
-            ),
-            ("{server}/page.tif", InputError, "cannot be read as a raster"),
-            ("{folder}/none.json", InputError, "No compatible asset"),
-            (
-                "{folder}/two.json",
-                InputError,
-                "name one of them: STACIT.*asset=data, .*asset=slope",
-            ),
-        ],
-    )
-    def test_that_cannot_be_read(self, server, folder, name, error, said):
-        path = name.format(server=server.address, folder=folder)
-        assert_says(said, lambda: read_dem(path), error)
-
-    def test_whose_address_is_signed(self, server, run):
-        refused = run("info", f"{server.address}/gone.tif{SIGNATURE}")
-        assert refused.err.count("\n") == 1
-        assert "404" in refused.err
-        assert "signature" not in refused.err
-
-    def test_of_a_store_that_contacts_no_server(self, server, run, tmp_path, caplog):
-        build = "build", f"{server.address}/a.tif", "-o", tmp_path / "store.h5", "--spacing", "300"
-        run(*build).ok()
-        with Matcher(tmp_path / "store.h5"):
-            pass
-        assert "--dem" in caplog.text
