@@ -18,7 +18,7 @@ from skyline.arrays import Float64Array
 from skyline.camera import Pixel
 from skyline.errors import InputError
 from skyline.geodesy.earth import Curvature
-from skyline.photo.skyline import PhotoSkyline
+from skyline.photo.skyline import PhotoForm
 from skyline.pose import Pose
 from skyline.pose_errors import HEADING, PIXEL_SD_PX, Bearings
 
@@ -39,14 +39,14 @@ class Ray:
     ----------
     pose : Pose
         The camera, with its errors.
-    photo : PhotoSkyline
-        Only its size and its projection count.
+    photo : Photo or PhotoSkyline
+        Its size and its projection count.
     pixel : (float, float)
         Column and row.
     """
 
     pose: Pose
-    photo: PhotoSkyline
+    photo: PhotoForm
     pixel: Pixel
 
 

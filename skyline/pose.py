@@ -11,7 +11,7 @@ from skyline.angles import angle_between_deg
 from skyline.arrays import BoolArray, Float64Array, IntArray, Rows
 from skyline.camera import Camera
 from skyline.geodesy.map_frame import Frame, geodesic_m
-from skyline.photo.skyline import PhotoSkyline
+from skyline.photo.skyline import PhotoForm
 from skyline.pose_errors import ANGLES, ASSUMED
 
 RIGHT_WITHIN_M = 200.0
@@ -171,7 +171,7 @@ class Pose:
         """Grid azimuth of the optical axis, in [0, 360)."""
         return (self.heading_deg - self.convergence_deg) % 360.0
 
-    def camera(self, photo: PhotoSkyline) -> Camera:
+    def camera(self, photo: PhotoForm) -> Camera:
         """Return the camera that took a photo of ``photo``'s size and projection."""
         return Camera(
             projection=photo.projection,
@@ -185,17 +185,16 @@ class Pose:
             wander=self.wander,
         )
 
-    def covariance_or_assumed(self, photo: PhotoSkyline) -> Float64Array:
+    def covariance_or_assumed(self, photo: PhotoForm) -> Float64Array:
         """Return the covariance (P, P); if it is None, an assumed one.
 
-        A pose without one was written by a person: see `skyline.pose_errors.AssumedErrors`. Only
-        the size and the projection of ``photo`` count.
+        A pose without one was written by a person: see `skyline.pose_errors.AssumedErrors`.
         """
         if self.covariance is None:
             return ASSUMED.covariance(self.camera(photo))
         return np.array(self.covariance)
 
-    def assumed(self, photo: PhotoSkyline) -> str:
+    def assumed(self, photo: PhotoForm) -> str:
         """Return assumed standard errors in words; empty if the covariance is known."""
         return "" if self.covariance is not None else ASSUMED.in_words(self.camera(photo))
 

@@ -12,7 +12,7 @@ from skyline.files import is_name_of, read_bytes
 from skyline.noted_pose import EXPECTED_RECORD, NotedPose, noted_projection
 from skyline.photo.frame import Size, is_whole
 from skyline.photo.photo import Photo, read_photo
-from skyline.photo.skyline import PhotoSkyline
+from skyline.photo.skyline import PhotoForm
 from skyline.photo.tags import positive
 from skyline.store.read import is_store
 
@@ -40,8 +40,8 @@ class PoseRecord:
             return None
         return noted_projection(self.content, f"pose {self.path}")
 
-    def pose(self, photo: PhotoSkyline) -> NotedPose:
-        """Return the pose of a photo, whose projection and size count.
+    def pose(self, photo: PhotoForm) -> NotedPose:
+        """Return the pose of a photo.
 
         Raises `InputError` if the record names the size of a photo of another shape, and as
         `NotedPose.from_dict`.
@@ -53,7 +53,10 @@ class PoseRecord:
         return replace(noted, doubt=self.doubt)
 
     def _check_shape(self, size_px: tuple[int, int], noted: Size) -> None:
-        """Raise `InputError` for a photo of another shape; it may be larger or smaller."""
+        """Raise `InputError` for a photo of another shape.
+
+        It may be larger or smaller.
+        """
         # Scaling rounds each side to a pixel.
         rounding = sum(1.0 / min(sides) for sides in zip(size_px, noted, strict=True))
         if not is_whole(size_px, noted, rounding):
@@ -102,7 +105,7 @@ def read_posed(
     """
     record = read_pose(pose, photo)
     read = read_photo(photo, projection=projection or record.projection)
-    return read, record.pose(read.blank)
+    return read, record.pose(read)
 
 
 def _check_photo(record: Any, path: Path, photo: Path) -> None:

@@ -1,4 +1,4 @@
-"""A photo's time, or its camera's heading, by the sun or a shadow.
+"""A photo's time or its camera's heading, by sun or shadow.
 
 A pixel of the sun's or the moon's disc gives a direction. A shadow's tip and foot give an azimuth:
 whatever stands upright casts its shadow away from the sun, however tall it is and whatever the
@@ -20,7 +20,7 @@ from skyline.arrays import Float64Array
 from skyline.camera import Pixel
 from skyline.errors import InputError
 from skyline.ground import GroundErrors, GroundPoints, GroundView
-from skyline.photo.skyline import PhotoSkyline
+from skyline.photo.skyline import PhotoForm
 from skyline.pose import Pose
 from skyline.pose_errors import EAST, HEADING, NORTH, PIXEL_SD_PX, UP, Bearings
 from skyline.sun import Body, InSky, Sky, minutes_of
@@ -131,7 +131,7 @@ class SunHeading:
 
 
 def body_pointing(
-    pose: Pose, photo: PhotoSkyline, pixel: Pixel, pixel_sd_px: float = PIXEL_SD_PX
+    pose: Pose, photo: PhotoForm, pixel: Pixel, pixel_sd_px: float = PIXEL_SD_PX
 ) -> Pointing:
     """Return the direction of a pixel in a body's disc.
 
@@ -211,7 +211,7 @@ def shadow_pointing(
 def _toward_sun(
     view: GroundView, ground: GroundPoints, top: Pixel
 ) -> tuple[Float64Array, Float64Array]:
-    """Return the way (3,) from a shadow's tip to the top that casts it.
+    """Return the way (3,) from a shadow's tip to its caster's top.
 
     ``ground`` has tip and foot; the top stands over the foot. The second result (3, P + 8) has the
     derivatives by the pose, by the pixels of tip, foot and top, and by the errors of the ground's

@@ -22,7 +22,7 @@ from skyline.geodesy.earth import Curvature
 from skyline.ground import GroundView
 from skyline.noted_pose import NotedPose
 from skyline.peaks import Peaks, check_on_map
-from skyline.photo.skyline import PhotoSkyline
+from skyline.photo.skyline import PhotoForm, PhotoSkyline
 from skyline.pixel_places import PixelPlaces
 from skyline.pose import Pose
 from skyline.progress import Progress
@@ -149,7 +149,7 @@ class SeenBody:
     is_hidden: bool
 
 
-def sight_of(pose: Pose, photo: PhotoSkyline, views: Views) -> Sight:
+def sight_of(pose: Pose, photo: PhotoForm, views: Views) -> Sight:
     """Return the skyline of rendered views in the photo's picture.
 
     Parameters
@@ -167,7 +167,7 @@ def sight_of(pose: Pose, photo: PhotoSkyline, views: Views) -> Sight:
     near = np.abs(column - photo.width_px / 2.0) <= _AROUND * photo.width_px
     gap_deg = np.full(photo.width_px, np.nan)
     known = np.isfinite(elevation_tan)
-    if known.any():
+    if isinstance(photo, PhotoSkyline) and known.any():
         trusted = np.flatnonzero(photo.trusted)
         photo_deg, y = pose.camera(photo).directions(trusted, photo.row_px[trusted])
         there = np.interp(photo_deg, azimuth_deg[known], elevation_tan[known], period=360.0)
@@ -175,9 +175,7 @@ def sight_of(pose: Pose, photo: PhotoSkyline, views: Views) -> Sight:
     return Sight(column[near], row[near], is_sure[near], gap_deg)
 
 
-def peaks_in_picture(
-    pose: Pose, photo: PhotoSkyline, sightings: Sequence[Sighting]
-) -> list[SeenPeak]:
+def peaks_in_picture(pose: Pose, photo: PhotoForm, sightings: Sequence[Sighting]) -> list[SeenPeak]:
     """Return the peaks within the picture, in the order given."""
     directions = np.array([(one.grid_azimuth_deg, one.elevation_tan) for one in sightings])
     column, row = pose.camera(photo).pixels(*directions.reshape(-1, 2).T)
@@ -327,7 +325,7 @@ class Viewer(Closeable):
         """
         return replace(pose, eye_elevation_m=float(self._standing(pose).eye_elevation_m[0]))
 
-    def look(self, pose: Pose, photo: PhotoSkyline) -> Sight:
+    def look(self, pose: Pose, photo: PhotoForm) -> Sight:
         """Return the skyline rendered at a pose, in the photo's pixels.
 
         Raises
@@ -343,7 +341,7 @@ class Viewer(Closeable):
         return sight_of(pose, photo, self._views(self._standing(pose), pose))
 
     def places(
-        self, pose: Pose, photo: PhotoSkyline, step: int = 1, progress: Progress | None = None
+        self, pose: Pose, photo: PhotoForm, step: int = 1, progress: Progress | None = None
     ) -> PixelPlaces:
         """Return the places on the terrain in a photo's pixels.
 
@@ -352,8 +350,8 @@ class Viewer(Closeable):
 
         Parameters
         ----------
-        photo : PhotoSkyline
-            Its size and projection count; a skyline is not needed.
+        photo : Photo or PhotoSkyline
+            Its size and projection count.
         step : int
             Every ``step``-th row and column is computed, beginning with the first.
         progress : callable, optional
@@ -386,7 +384,7 @@ class Viewer(Closeable):
             crs=self.frame.lonlat_crs,
         )
 
-    def ground_view(self, pose: Pose, photo: PhotoSkyline) -> GroundView:
+    def ground_view(self, pose: Pose, photo: PhotoForm) -> GroundView:
         """Return the ground as the camera of a pose sees it.
 
         Its pixels are those of ``photo``, whose size and projection count. Raises `InputError` for
@@ -402,7 +400,7 @@ class Viewer(Closeable):
             covariance=pose.covariance_or_assumed(photo),
         )
 
-    def summits(self, pose: Pose, photo: PhotoSkyline) -> list[SeenPeak]:
+    def summits(self, pose: Pose, photo: PhotoForm) -> list[SeenPeak]:
         """Return the summits that a photo shows, most prominent first.
 
         Raises `OffMapError` for a pose off the map or on a hole, and `InputError` as `look`.
@@ -413,7 +411,7 @@ class Viewer(Closeable):
             self.terrain, peaks_in_picture(pose, photo, self._visible(pose))
         )
 
-    def unseen(self, pose: Pose, photo: PhotoSkyline, seen: Sequence[SeenPeak]) -> UnseenPeaks:
+    def unseen(self, pose: Pose, photo: PhotoForm, seen: Sequence[SeenPeak]) -> UnseenPeaks:
         """Return why a photo does not show the other peaks.
 
         ``seen`` are the summits that it shows. Raises as `summits`.
@@ -436,7 +434,7 @@ class Viewer(Closeable):
                 (hidden if is_inside else outside).append(name)
         return UnseenPeaks(hidden=tuple(hidden), outside=tuple(outside), off_map=tuple(off_map))
 
-    def bodies(self, pose: Pose, photo: PhotoSkyline, at: datetime | str) -> list[SeenBody]:
+    def bodies(self, pose: Pose, photo: PhotoForm, at: datetime | str) -> list[SeenBody]:
         """Return which of sun and moon a photo shows at a time.
 
         A time without a zone is in UTC if it is a `datetime`, and is refused if it is text. Raises

@@ -65,14 +65,24 @@ class Photo(ShortRepr):
     is_turned: bool = False
 
     @property
+    def width_px(self) -> int:
+        """Number of columns."""
+        return int(self.rgb.shape[1])
+
+    @property
+    def height_px(self) -> int:
+        """Number of rows."""
+        return int(self.rgb.shape[0])
+
+    @property
     def blank(self) -> PhotoSkyline:
-        """The photo without a skyline: enough to see what poses show."""
-        height, width = self.rgb.shape[:2]
-        unknown = np.full(width, np.nan)
-        return self.described(PhotoSkyline(unknown, np.zeros(width), width, height))
+        """The photo without a skyline, whose camera control points fit."""
+        unknown = np.full(self.width_px, np.nan)
+        trust = np.zeros(self.width_px)
+        return self.described(PhotoSkyline(unknown, trust, self.width_px, self.height_px))
 
     def check_upright(self, file: Path) -> None:
-        """Raise `InputError` if EXIF turns the photo, whose pixels a file of QGIS names.
+        """Raise `InputError` if EXIF turns the photo of a QGIS file.
 
         QGIS shows a photo as its file stores it, since GDAL's APPLY_ORIENTATION is off by default.
         """
@@ -157,9 +167,10 @@ def _is_turned(image: Image.Image) -> bool:
 
 
 def _within_borders(rgb: UInt8Array, width: int) -> tuple[int, int] | None:
-    """Return the size of the photo in a file of a width, which may be read smaller.
+    """Return the size of the photo within the borders of a file.
 
-    None for a picture that is no photo.
+    ``width`` is the file's, whose pixels may have been read smaller. None for a picture that is no
+    photo.
     """
     try:
         content = content_of(rgb)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
@@ -14,6 +15,22 @@ from skyline.photo.noted_place import NOTHING_NOTED, NotedPlace
 
 _SAME_ROWS = 0.02
 """A crest nearer to the skyline than this share of all rows is the skyline itself."""
+
+
+class PhotoForm(Protocol):
+    """A photo's projection and size, by which a pose has pixels."""
+
+    @property
+    def projection(self) -> Projection:
+        """Maps columns and rows to rays."""
+
+    @property
+    def width_px(self) -> int:
+        """Number of columns."""
+
+    @property
+    def height_px(self) -> int:
+        """Number of rows."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +60,10 @@ class Lens:
     crop_share: float = 0.0
 
     def beside_border(self, share: float) -> Lens:
-        """Return the lens of a file that is ``share`` times as wide as its photo."""
+        """Return the lens of a file whose border goes around this photo.
+
+        The file is ``share`` times as wide as the photo.
+        """
         if self.fov_deg is None:
             return self
 

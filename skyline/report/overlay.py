@@ -13,7 +13,7 @@ from matplotlib.patheffects import withStroke
 
 from skyline.arrays import UInt8Array
 from skyline.ground_shapes import PhotoShape
-from skyline.photo.skyline import PhotoSkyline
+from skyline.photo.skyline import PhotoForm, PhotoSkyline
 from skyline.pose import Pose
 from skyline.report.figure_files import encode_figure
 from skyline.report.labels import (
@@ -63,7 +63,7 @@ def draw_overlay(
 
 
 def draw_labels(
-    skyline: PhotoSkyline,
+    form: PhotoForm,
     photo: UInt8Array,
     peaks: Sequence[SeenPeak],
     sight: Sight | None = None,
@@ -74,8 +74,10 @@ def draw_labels(
 
     Parameters
     ----------
+    form : Photo or PhotoSkyline
+        Its size counts.
     photo : (H, W, 3) uint8
-        RGB, of the size of ``skyline``.
+        RGB, of the size of ``form``.
     peaks : sequence of SeenPeak
         Peaks in the picture, the most important first.
     sight : Sight, optional
@@ -92,7 +94,7 @@ def draw_labels(
         because names would overlap or no installed font draws them.
     """
     texts = list(map(with_distance, peaks))
-    figure, axis, unnamed = _draw_picture(skyline, photo, peaks, texts)
+    figure, axis, unnamed = _draw_picture(form, photo, peaks, texts)
     if sight is not None:
         axis.plot(sight.column_px, sight.row_px, color=_RENDERED_COLOUR, linewidth=1.0, alpha=0.6)
     for body in bodies:
@@ -120,14 +122,16 @@ def _draw_body(axis: Axes, body: SeenBody) -> None:
 
 
 def draw_shapes(
-    skyline: PhotoSkyline, photo: UInt8Array, shapes: Sequence[PhotoShape], kind: str = "png"
+    form: PhotoForm, photo: UInt8Array, shapes: Sequence[PhotoShape], kind: str = "png"
 ) -> bytes:
     """Draw shapes of the map over a photo, hidden parts dashed.
 
     Parameters
     ----------
+    form : Photo or PhotoSkyline
+        Its size counts.
     photo : (H, W, 3) uint8
-        RGB, of the size of ``skyline``.
+        RGB, of the size of ``form``.
     kind : str
         As in `draw_labels`.
 
@@ -136,9 +140,9 @@ def draw_shapes(
     bytes
         The picture, the photo at most 1600 px wide and high.
     """
-    figure, axis, _ = _draw_picture(skyline, photo, (), ())
+    figure, axis, _ = _draw_picture(form, photo, (), ())
     for one in shapes:
-        for part, is_hidden in one.parts(skyline.width_px, skyline.height_px):
+        for part, is_hidden in one.parts(form.width_px, form.height_px):
             style: dict[str, Any] = {
                 "linestyle": "--" if is_hidden else "-",
                 "alpha": 0.6 if is_hidden else 1.0,
@@ -156,7 +160,7 @@ def _encoded(figure: Figure, kind: str) -> bytes:
 
 
 def _draw_picture(
-    skyline: PhotoSkyline,
+    form: PhotoForm,
     photo: UInt8Array | None,
     peaks: Sequence[SeenPeak],
     texts: Sequence[str],
@@ -172,10 +176,10 @@ def _draw_picture(
     figure = Figure(dpi=_DPI)
     FigureCanvasAgg(figure)
     # Pixels of the picture for one of the photo.
-    most = 1600.0 / max(skyline.width_px, skyline.height_px)
-    scale = min(most, max(1.0, 700.0 / skyline.width_px))
-    width = skyline.width_px * scale
-    height = skyline.height_px * scale
+    most = 1600.0 / max(form.width_px, form.height_px)
+    scale = min(most, max(1.0, 700.0 / form.width_px))
+    width = form.width_px * scale
+    height = form.height_px * scale
     font_pt = 10.0
     labels, no_font = labels_of(peaks, texts)
     placed = place_labels(
@@ -193,8 +197,8 @@ def _draw_picture(
     figure.set_size_inches(width / _DPI, (height + band + foot_px) / _DPI)
     axis = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     axis.set_axis_off()
-    right = skyline.width_px - 0.5
-    bottom = skyline.height_px - 0.5
+    right = form.width_px - 0.5
+    bottom = form.height_px - 0.5
     axis.set(xlim=(-0.5, right), ylim=(bottom + foot_px / scale, -0.5 - band / scale))
     axis.autoscale(False)
     picture = np.full((2, 2, 3), (239, 241, 238), dtype=np.uint8)

@@ -15,7 +15,7 @@ from skyline.geodesy.map_frame import Frame
 from skyline.geojson import Json, collection, feature
 from skyline.ground import GroundPoints
 from skyline.ground_shapes import GroundShape, PhotoShape
-from skyline.photo.skyline import PhotoSkyline
+from skyline.photo.skyline import PhotoForm
 from skyline.report.kml import add, add_coordinates, add_polygon, kml_document, xml_bytes
 from skyline.shapes import LINE, POINT, POLYGON
 from skyline.vectors import PHOTO_MEMBER, VERTICES_LAYER
@@ -49,19 +49,17 @@ def write_on_map(path: Path, shapes: Sequence[GroundShape], frame: Frame, photo:
     write_whole(path, content)
 
 
-def write_in_photo(
-    path: Path, shapes: Sequence[PhotoShape], photo: Path, skyline: PhotoSkyline
-) -> None:
+def write_in_photo(path: Path, shapes: Sequence[PhotoShape], photo: Path, form: PhotoForm) -> None:
     """Write shapes of the map in a photo's pixels, as GeoJSON.
 
     Each part within the photo is a feature, whose property ``hidden`` says whether ground hides it.
     The member ``photo`` has the photo's name and size. Raises `InputError` where the file cannot be
     written.
     """
-    size = {"width_px": skyline.width_px, "height_px": skyline.height_px}
+    size = {"width_px": form.width_px, "height_px": form.height_px}
     features = []
     for one in shapes:
-        for part, hidden in one.parts(skyline.width_px, skyline.height_px):
+        for part, hidden in one.parts(form.width_px, form.height_px):
             pixels = np.round(part, _PIXELS).tolist()
             geometry = (POINT, pixels[0]) if one.shape.kind == POINT else (LINE, pixels)
             features.append(feature(*geometry, {**one.shape.properties, "hidden": hidden}))

@@ -78,7 +78,7 @@ def cross_photos(task: CrossTask, listener: Listener) -> Crossed:
 def _ray(file: Path, pose: Path, pixel: Pixel, viewer: Viewer, listener: Listener) -> Ray:
     """Return the ray of a photo's pixel."""
     photo, noted = read_posed(file, pose)
-    return Ray(pose=shown_pose(noted, viewer, listener), photo=photo.blank, pixel=pixel)
+    return Ray(pose=shown_pose(noted, viewer, listener), photo=photo, pixel=pixel)
 
 
 def _on_map(found: Crossing, terrain: HeightField, assumed: str) -> Crossed:

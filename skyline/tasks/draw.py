@@ -56,17 +56,16 @@ def draw_vectors(task: DrawTask, listener: Listener) -> list[str]:
     inputs = [task.photo, task.pose, task.vectors, *map(Path, map(on_disk, names))]
     check_outputs([task.output], inputs)
     photo, noted = task.read()
-    blank = photo.blank
     vectors = read_vectors(task.vectors, task.photo, task.in_pixels)
     _check_kind(task, vectors, suffix)
     if vectors.of_qgis:
         photo.check_upright(task.vectors)
     if vectors.in_pixels:
-        vectors.check_photo(task.photo, blank.width_px, blank.height_px)
+        vectors.check_photo(task.photo, photo.width_px, photo.height_px)
     terrain = read_terrain(listener, names, task.crs)
     with Viewer(terrain) as viewer:
         pose = shown_pose(noted, viewer, listener)
-        view = viewer.ground_view(pose, blank)
+        view = viewer.ground_view(pose, photo)
         if not vectors.in_pixels:
             with listener.slow("drawing the map into the photo"):
                 return _into_photo(task, vectors, view, photo, suffix)
@@ -77,7 +76,7 @@ def draw_vectors(task: DrawTask, listener: Listener) -> list[str]:
                 progress(number, len(vectors.shapes))
     write_on_map(task.output, found, viewer.frame, task.photo)
     lines = [f"{task.output}: {_counted(len(found))} on the map", *_lines(found)]
-    return lines + assumed_lines(pose.assumed(blank))
+    return lines + assumed_lines(pose.assumed(photo))
 
 
 def _check_kind(task: DrawTask, vectors: Vectors, suffix: str) -> None:
@@ -96,9 +95,8 @@ def _into_photo(
     task: DrawTask, vectors: Vectors, view: GroundView, photo: Photo, suffix: str
 ) -> list[str]:
     """Write vectors of the map in the photo; return lines about it."""
-    blank = photo.blank
     shapes = [in_photo(view, shape, view.terrain.frame) for shape in vectors.shapes]
-    parts = [one.parts(blank.width_px, blank.height_px) for one in shapes]
+    parts = [one.parts(photo.width_px, photo.height_px) for one in shapes]
     if not any(parts):
         lon, lat = np.concatenate([one.vertices for one in vectors.shapes]).T
         raise InputError(
@@ -106,11 +104,11 @@ def _into_photo(
             f"or a DEM that holds them{swap_hint(view.terrain, lon, lat)}"
         )
     if suffix in GEOJSON:
-        write_in_photo(task.output, shapes, task.photo, blank)
+        write_in_photo(task.output, shapes, task.photo, photo)
     else:
         from skyline.report.overlay import draw_shapes  # noqa: PLC0415  (slow to load)
 
-        write_whole(task.output, draw_shapes(blank, photo.rgb, shapes, LABEL_FILES[suffix]))
+        write_whole(task.output, draw_shapes(photo, photo.rgb, shapes, LABEL_FILES[suffix]))
     seen = sum(any(not hidden for _, hidden in some) for some in parts)
     hidden = sum(bool(some) for some in parts) - seen
     outside = len(parts) - seen - hidden

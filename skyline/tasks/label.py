@@ -7,12 +7,12 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from skyline.arrays import UInt8Array
 from skyline.errors import InputError, some_of, suffix_of
 from skyline.files import check_outputs, write_whole
 from skyline.noted_pose import NotedPose
 from skyline.orienter import orienters
 from skyline.peaks import read_peaks
+from skyline.photo.photo import Photo
 from skyline.photo.read import find_skyline
 from skyline.photo.skyline import PhotoSkyline
 from skyline.pose import Pose
@@ -72,16 +72,16 @@ def label_photo(task: LabelTask, listener: Listener) -> list[str]:
         )
     check_outputs([task.output], [task.photo, *filter(None, [task.pose, task.peaks])])
     photo, noted = task.read()
-    skyline = photo.blank if noted is not None else find_skyline(photo)
+    known = noted if noted is not None else find_skyline(photo)
     terrain = read_terrain(listener, task.dem, task.crs)
     gazetteer = None if task.peaks is None else read_peaks(task.peaks, terrain.frame)
     with Viewer(terrain, gazetteer) as viewer:
-        camera = _camera_of(task, skyline, noted, viewer, listener)
+        camera = _camera_of(task, known, viewer, listener)
         with listener.slow("looking for summits"):
-            seen = viewer.summits(camera.pose, skyline)
-            bodies = _bodies(task, camera.pose, skyline, viewer, listener)
-            unnamed = _write(task, photo.rgb, skyline, camera, seen, bodies, viewer)
-            unseen = viewer.unseen(camera.pose, skyline, seen)
+            seen = viewer.summits(camera.pose, photo)
+            bodies = _bodies(task, camera.pose, photo, viewer, listener)
+            unnamed = _write(task, photo, camera, seen, bodies, viewer)
+            unseen = viewer.unseen(camera.pose, photo, seen)
     if gazetteer is None:
         names = " and ".join(f"the {one.name}" for one in bodies)
         return [f"in the photo: {names or 'neither the sun nor the moon'}"]
@@ -103,21 +103,17 @@ def _missing(unnamed: "UnnamedPeaks", unseen: UnseenPeaks) -> Iterator[str]:
 
 
 def _camera_of(
-    task: LabelTask,
-    skyline: PhotoSkyline,
-    noted: NotedPose | None,
-    viewer: Viewer,
-    listener: Listener,
+    task: LabelTask, known: NotedPose | PhotoSkyline, viewer: Viewer, listener: Listener
 ) -> _HeldCamera:
-    """Return the camera in the given pose, or in the fitted one.
+    """Return the camera in its given pose, or in one that fits.
 
     Raises `InputError` if the pose that fits is more likely wrong than right.
     """
-    if noted is not None:
-        return _HeldCamera(shown_pose(noted, viewer, listener))
+    if isinstance(known, NotedPose):
+        return _HeldCamera(shown_pose(known, viewer, listener))
     with listener.slow("orienting the camera"), orienters(viewer.terrain) as orienter_at:
-        orienter = orienter_at(task.at.position_of(skyline.noted, str(task.photo)))
-        found = orienter.orient(skyline, name=str(task.photo), heading_deg=task.at.heading_deg)
+        orienter = orienter_at(task.at.position_of(known.noted, str(task.photo)))
+        found = orienter.orient(known, name=str(task.photo), heading_deg=task.at.heading_deg)
     if found.likely is None:
         raise InputError(
             f"{task.photo}: the camera's direction is not sure ({found.refusal}); say roughly "
@@ -129,12 +125,12 @@ def _camera_of(
 
 
 def _bodies(
-    task: LabelTask, pose: Pose, skyline: PhotoSkyline, viewer: Viewer, listener: Listener
+    task: LabelTask, pose: Pose, photo: Photo, viewer: Viewer, listener: Listener
 ) -> list[SeenBody]:
     """Return the sun and the moon in a photo, noting any outside."""
     if task.time is None:
         return []
-    found = viewer.bodies(pose, skyline, task.time)
+    found = viewer.bodies(pose, photo, task.time)
     for body in set(Body) - {one.name for one in found}:
         disc = Sky(pose.lon, pose.lat, pose.eye_elevation_m).look(Body(body), task.time)
         listener.note(
@@ -146,8 +142,7 @@ def _bodies(
 
 def _write(
     task: LabelTask,
-    rgb: UInt8Array,
-    skyline: PhotoSkyline,
+    photo: Photo,
     camera: _HeldCamera,
     seen: list[SeenPeak],
     bodies: list[SeenBody],
@@ -165,9 +160,9 @@ def _write(
         records += [{name: getattr(one, name) for name in _BODY_COLUMNS} for one in bodies]
         write_whole(task.output, json.dumps(records, indent=1) + "\n")
         return UnnamedPeaks()
-    sight = viewer.look(camera.pose, skyline) if task.ridges else None
+    sight = viewer.look(camera.pose, photo) if task.ridges else None
     if confidence is not None:
         seen = [one.doubted(confidence) for one in seen]
-    drawn, unnamed = draw_labels(skyline, rgb, seen, sight, kind, bodies)
+    drawn, unnamed = draw_labels(photo, photo.rgb, seen, sight, kind, bodies)
     write_whole(task.output, drawn)
     return unnamed

@@ -73,12 +73,12 @@ def lay_photos(task: OrthoTask, listener: Listener) -> list[str]:
     ]
     terrain = read_terrain(listener, names, task.crs)
     with Viewer(terrain) as viewer, listener.progress("laying photos") as progress:
+        photos = [photo for photo, _ in posed]
         poses = [shown_pose(one, viewer, listener) for _, one in posed]
-        blanks = [photo.blank for photo, _ in posed]
-        views = [viewer.ground_view(pose, blank) for pose, blank in zip(poses, blanks, strict=True)]
+        views = [viewer.ground_view(pose, photo) for pose, photo in zip(poses, photos, strict=True)]
         grid = grid_of(views, task.resolution_m)
-        whole = lay(views[0], posed[0][0].rgb, grid)
-        for number, (view, (photo, _)) in enumerate(zip(views, posed, strict=True)):
+        whole = lay(views[0], photos[0].rgb, grid)
+        for number, (view, photo) in enumerate(zip(views, photos, strict=True)):
             progress(number, len(views))
             if number:
                 whole = mosaic([whole, lay(view, photo.rgb, grid)])
@@ -95,5 +95,5 @@ def lay_photos(task: OrthoTask, listener: Listener) -> list[str]:
         f"{float(np.median(seen)):.2g} m long on the ground, and its place good to "
         f"{place_sd_m(views, grid):.2g} m (medians)"
     )
-    assumed = (pose.assumed(blank) for pose, blank in zip(poses, blanks, strict=True))
+    assumed = (pose.assumed(photo) for pose, photo in zip(poses, photos, strict=True))
     return [line, *assumed_lines(*assumed)]

@@ -1,4 +1,4 @@
-"""Tasks with one photo, whose camera's pose is given, or may be found."""
+"""Tasks with one photo, whose camera's pose is given or found."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

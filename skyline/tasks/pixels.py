@@ -39,6 +39,6 @@ def place_pixels(task: PixelsTask, listener: Listener) -> PixelPlaces:
     terrain = read_terrain(listener, names, task.crs)
     with listener.progress("following rays") as progress, Viewer(terrain) as viewer:
         pose = shown_pose(noted, viewer, listener)
-        places = viewer.places(pose, photo.blank, task.step, progress)
+        places = viewer.places(pose, photo, task.step, progress)
     places.save(task.output, pose)
     return places

@@ -22,7 +22,7 @@ from skyline.view import Viewer
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PointsTask(CameraTask):
-    """A photo, its control points, and a pose that they refine or what is known of it."""
+    """A photo with control points, and what is known of its camera."""
 
     points: Path
     """File of the kinds of `POINT_FILES`."""

@@ -61,16 +61,15 @@ def tell_when(task: WhenTask, listener: Listener) -> Told:
     does not stand there, and `OffMapError` for a pose off the map.
     """
     photo, noted = task.read()
-    blank = photo.blank
     terrain = read_terrain(listener, task.dem, task.crs)
     check_is_earth(terrain.frame.crs)
     with Viewer(terrain) as viewer:
         pose = shown_pose(noted, viewer, listener)
         if len(task.marked) == 1:
-            pointing = body_pointing(pose, blank, task.marked[0])
+            pointing = body_pointing(pose, photo, task.marked[0])
         else:
-            pointing = shadow_pointing(viewer.ground_view(pose, blank), pose, task.marked)
-    assumed = pose.assumed(blank)
+            pointing = shadow_pointing(viewer.ground_view(pose, photo), pose, task.marked)
+    assumed = pose.assumed(photo)
     sky = Sky(pose.lon, pose.lat, pose.eye_elevation_m)
     if isinstance(task.known, datetime):
         heading = heading_at(pose, pointing, sky, task.body, task.known)

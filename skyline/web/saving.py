@@ -97,5 +97,4 @@ def _named(area: PageArea, photo: PagePhoto, pose: Pose) -> bytes:
     if area.peaks is None:
         raise InputError("no names are known; start skyline serve with --peaks FILE")
     read = opened(photo)[0]
-    blank = read.blank
-    return draw_labels(blank, read.rgb, area.viewer.summits(pose, blank))[0]
+    return draw_labels(read, read.rgb, area.viewer.summits(pose, read))[0]

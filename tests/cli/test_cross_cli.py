@@ -9,7 +9,7 @@ from skyline import NotedPose, Projection, Viewer, read_dem, read_photo
 
 def test_a_thing_in_two_photos_is_placed(run, dem, photo, pose, tmp_path):
     first = json.loads(pose.read_text())
-    picture = read_photo(photo).blank
+    picture = read_photo(photo)
     with Viewer(read_dem([dem])) as viewer:
         here, _ = viewer.pose_of(NotedPose.from_dict(first, Projection.PERSPECTIVE))
         # The first looks to the south-east; the second, 400 m to its left, more to the right.

@@ -62,7 +62,7 @@ def points(dem, photo, tmp_path_factory):
     east_m, north_m = 601_800.0, 5_178_000.0
     eye_m = float(terrain.height_at(easting_m=east_m, northing_m=north_m)) + 2.0
     true = candidate_at(east_m, north_m, 140.0, frame=terrain.frame, eye_elevation_m=eye_m)
-    view = Viewer(terrain).ground_view(true, read_photo(photo).blank)
+    view = Viewer(terrain).ground_view(true, read_photo(photo))
     column, row = (one.ravel().astype(float) for one in np.mgrid[20:960:20, 150:600:15])
     seen = view.points(column, row)
     far = np.flatnonzero((seen.distance_m > 400.0) & ~seen.is_grazing)

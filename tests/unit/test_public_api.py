@@ -11,7 +11,16 @@ import skyline
 from skyline.cli import COMMANDS
 
 HEAVY = {"cv2", "matplotlib", "moderngl", "h5py", "numpy", "rasterio", "scipy", "xarray"}
-INTERNAL = {"Horizons", "Shard", "Sighting", "SkySession", "Spec", "Tabled", "WholeFile"}
+INTERNAL = {
+    "Horizons",
+    "PhotoForm",
+    "Shard",
+    "Sighting",
+    "SkySession",
+    "Spec",
+    "Tabled",
+    "WholeFile",
+}
 """Skyline's own, in signatures that users have no need to call or settings of settings."""
 OPTIONAL = ("Axes", "DataArray", "DataFrame", "Dataset", "GeoDataFrame", "Series")
 """Of libraries that are loaded when a method needs them, if at all."""
