@@ -232,7 +232,7 @@ def match_here(matcher: Matcher, entries: Iterable[Entry]) -> Iterator[MatchResu
 
 @dataclass(frozen=True, slots=True)
 class MatcherFiles:
-    """The files of a matcher and its settings, by which any process opens it."""
+    """A matcher's files and settings, by which any process opens it."""
 
     stores: tuple[Path, ...]
     dem: tuple[str, ...]

@@ -33,7 +33,7 @@ def printable(text: str | os.PathLike[str]) -> str:
 
 
 def one_line(text: object) -> str:
-    """Return the text of anything, such as another library's error, as one line."""
+    """Return any text, such as a library's error, as one line."""
     return " ".join(str(text).split())
 
 

@@ -131,7 +131,7 @@ def has_mark(path: Path, mark: bytes) -> bool:
 
 
 def is_name_of(name: str, path: Path) -> bool:
-    """Return whether a file's name is a path's, whatever the folders of both.
+    """Return whether a file's name is a path's, in any folder.
 
     The name may come from another system.
     """

@@ -1,4 +1,4 @@
-"""The horizons of places, with the sky above them, as lines, tables and datasets.
+"""The horizons of places, and the sky above them.
 
 Azimuths are degrees from true north.
 """

@@ -136,7 +136,7 @@ class NotedPose:
 
 
 def _check_names(record: Mapping[str, Any], given: Mapping[str, float], source: str) -> None:
-    """Raise `InputError` for a value only under a name that is not read."""
+    """Raise `InputError` for a value under another name alone."""
     known = set(given)
     if known & set(_HEIGHTS):
         known |= set(_HEIGHTS)

@@ -1,4 +1,4 @@
-"""The terrain that each pixel of a photo shows, as arrays, tables and files."""
+"""The terrain in each pixel of a photo, as arrays and files."""
 
 from __future__ import annotations
 

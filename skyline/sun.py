@@ -206,7 +206,10 @@ class Sky:
         self._bodies: dict[Body, Any] = {Body.SUN: ephem.Sun(), Body.MOON: ephem.Moon()}
 
     def look(self, body: Body, at: datetime | str) -> InSky:
-        """Return where a body stands at a time; it and its errors are as in `time_of`."""
+        """Return where a body stands at a time.
+
+        The time is as in `time_of`, which raises the same errors.
+        """
         self._observer.date = time_of(at).replace(tzinfo=None)
         seen = self._bodies[body]
         seen.compute(self._observer)

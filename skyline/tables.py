@@ -73,9 +73,10 @@ class Row:
         return self["id"] or self["name"]
 
     def readings(self, column: str) -> list[str]:
-        """Return the numbers that a text may stand for, as texts with decimal points.
+        """Return the numbers that a text may stand for.
 
-        It is empty for a text that the table's way of writing numbers does not explain.
+        They are texts with decimal points. There are none for a text that the table's way of
+        writing numbers does not explain.
         """
         text = self[column]
         if not self.has_thousands:
@@ -228,10 +229,11 @@ def _unquoted(line: str) -> str:
 
 
 def _marks_in(cells: Iterable[tuple[str, str]]) -> str:
-    """Return the marks of decimals in the cells of a table, named by their columns.
+    """Return the marks of decimals in a table's cells.
 
-    A mark before three digits tells nothing, except in degrees, which have no thousands: then
-    points are taken for decimal ones, and commas may be either.
+    A cell is the name of its column, and its text. A mark before three digits tells nothing, except
+    in degrees, which have no thousands: then points are taken for decimal ones, and commas may be
+    either.
     """
     sure = set()
     seen = set()

@@ -117,14 +117,15 @@ def read_svg(path: Path) -> Vectors:
 
 
 def _style_of(one: Element) -> str:
-    """Return the style of an element of SVG, or the rules of its element ``style``."""
+    """Return an element's style, or the rules of the element ``style``."""
     return (one.text or "") if _tag(one) == "style" else one.get("style", "")
 
 
 def _hiding_selectors(path: Path, root: Element) -> Iterator[str]:
-    """Yield the selectors of an SVG's rules that hide elements: ``.st0``, ``#sketch``, ``g``.
+    """Yield the selectors of an SVG's rules that hide elements.
 
-    Illustrator hides layers so. Raises `InputError` for other selectors.
+    They are as ``.st0``, ``#sketch`` or ``g``; Illustrator hides layers so. Raises `InputError` for
+    other selectors.
     """
     sheets = [one.text or "" for one in root.iter() if _tag(one) == "style"]
     for selectors, rules in _SVG_RULE.findall(
@@ -142,7 +143,7 @@ def _hiding_selectors(path: Path, root: Element) -> Iterator[str]:
 
 
 def _is_hidden(one: Element, hiding: Collection[str]) -> bool:
-    """Return whether an element of SVG is not shown, as a hidden layer.
+    """Return whether an element is hidden, as a layer may be.
 
     ``hiding`` has the selectors of rules that hide elements.
     """

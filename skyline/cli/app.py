@@ -76,9 +76,10 @@ def _with_quiet(command: Any) -> Any:
 
 
 def _tidy(command: Any) -> Any:
-    """Return a command whose flags show no type, and whose help fills its lines.
+    """Return a command with a tidy help.
 
-    The commands of a group are treated alike. Typer would show ``--json <bool>``, and break lines
+    Its flags show no type, and its help fills its lines. So do the commands of a group. Typer would
+    show ``--json <bool>``, and break lines
     of the help where the docstring does.
     """
     for one in getattr(command, "commands", {}).values():

@@ -38,7 +38,7 @@ def output_option(about: str, metavar: str = "FILE", **shown: Any) -> Any:
 
 
 def bounds_option(about: str, **shown: Any) -> Any:
-    """Return the option for a box; ``about`` comes before the names of its sides."""
+    """Return the option for a box, whose help begins with ``about``."""
     sides = f"{about}: west, south, east, north in degrees (WGS 84)."
     return Option("--bounds", metavar="W,S,E,N", help=sides, **shown)
 

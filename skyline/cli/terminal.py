@@ -39,7 +39,7 @@ _NOTE_EVERY_S = 10.0
 
 
 def size_in_words(size: int) -> str:
-    """Return a number of bytes in kB, or from a million on in MB."""
+    """Return a number of bytes in words, as kB or MB."""
     return f"{size / 1e6:.1f} MB" if size >= 1e6 else f"{size / 1e3:.0f} kB"
 
 

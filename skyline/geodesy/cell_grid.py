@@ -1,4 +1,4 @@
-"""Square cells on the map: the grid of an orthophoto or of a posterior."""
+"""Square cells on the map, of an orthophoto or a posterior."""
 
 from dataclasses import dataclass
 

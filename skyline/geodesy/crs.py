@@ -80,7 +80,7 @@ def parse_crs(crs: object) -> CRS:
 
 
 def crs_of_positions(path: object, named: Any) -> CRS:
-    """Return the CRS that a file of positions names; WGS 84 for none.
+    """Return the CRS that a file of positions names, or WGS 84.
 
     The name may stand alone, or in GeoJSON's member ``crs`` of 2008: ``name`` with the CRS's name,
     or ``EPSG`` with its code. Raises `InputError` for any other, and for a CRS that is neither

@@ -57,7 +57,7 @@ class Curvature:
         return self.drop_per_m2 * np.square(np.asarray(distance_m, dtype=np.float64))
 
     def horizon_m(self, below_m: FloatArray | float) -> Any:
-        """Return the distance, metres, of the horizon of level ground below an eye.
+        """Return the distance of the horizon of level ground, metres.
 
         The ground lies ``below_m`` metres below the eye. If it lies above, the distance is 0; on a
         flat plane it is infinite. The dtype is the argument's.

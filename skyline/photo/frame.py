@@ -90,7 +90,7 @@ def frames_of(
 
 
 def frame_diagonal(frame: Size, sensor: Sensor | None) -> float:
-    """Return the diagonal of a frame over the diagonal of the sensor that took it.
+    """Return a frame's diagonal over the diagonal of its sensor.
 
     It is below 1 for a frame of another shape, such as 16:9 or a square, which keeps all columns or
     all rows of the sensor. An unknown sensor is taken to have the frame's shape if sensors of that
@@ -107,7 +107,7 @@ def frame_diagonal(frame: Size, sensor: Sensor | None) -> float:
 
 
 def is_bordered(size_px: tuple[int, int], photo_px: tuple[int, int]) -> bool:
-    """Return whether a file's photo, and not the whole file, has the shape of a frame.
+    """Return whether a photo, but not its file, has a frame's shape.
 
     The file has a border or a caption, such as phones write below their photos.
     """
@@ -122,9 +122,10 @@ def is_bordered(size_px: tuple[int, int], photo_px: tuple[int, int]) -> bool:
 
 
 def cropped_width(size_px: tuple[int, int], frame: Size) -> float:
-    """Return the width, in a frame's pixels, of the part that a file shows.
+    """Return the width of what a file shows of a frame.
 
-    It is the largest part of the file's shape, unless the file is unscaled.
+    It is in the frame's pixels. The part is the largest one of the file's shape, unless the file is
+    unscaled.
     """
     if is_unscaled(size_px, frame):
         return float(size_px[0])

@@ -213,9 +213,10 @@ def _unlimited_size() -> Iterator[None]:
 
 
 def check_one_picture(name: str, image: Image.Image) -> None:
-    """Raise `InputError` for a raw file, or a TIFF of several pictures or layers.
+    """Raise `InputError` for a raw file or several pictures.
 
-    The first picture of a raw file is a preview, with 1 as its NewSubfileType.
+    The first picture of a raw file is a preview, with 1 as its NewSubfileType. A TIFF may have
+    several pictures or layers.
     """
     if image.format != "TIFF":
         return
@@ -253,7 +254,10 @@ def shrink_if_large(name: str, image: Image.Image, limits: SizeLimits = LIMITS) 
 
 
 def _other_pages(image: Image.Image) -> int:
-    """Return how many pages of a TIFF are neither smaller copies nor masks of its first one."""
+    """Return how many pages of a TIFF are further pictures.
+
+    Smaller copies and masks of the first page are none.
+    """
     width, height = image.size
     count = 0
     for page in range(1, getattr(image, "n_frames", 1)):
@@ -266,7 +270,7 @@ def _other_pages(image: Image.Image) -> int:
 
 
 def made_smaller(rgb: UInt8Array, longer_px: int) -> UInt8Array:
-    """Return a picture (h, w, 3) whose longer side is at most ``longer_px``."""
+    """Return a picture (h, w, 3) of at most ``longer_px`` a side."""
     height, width = rgb.shape[:2]
     scale = min(1.0, longer_px / max(height, width))
     size = max(1, round(width * scale)), max(1, round(height * scale))

@@ -158,9 +158,10 @@ def _fov_deg(width: float, diagonals: float) -> float:
 
 
 def _was_cropped(xmp: Xmp) -> bool:
-    """Return whether XMP notes a crop by Lightroom or Camera Raw that the pixels show.
+    """Return whether XMP notes a crop that the pixels show.
 
-    A crop that is only noted, in a file that was not exported, is not applied.
+    Lightroom and Camera Raw note it. A crop that is only noted, in a file that was not exported, is
+    not applied.
     """
     noted = xmp.of(_CAMERA_RAW)
     return all(noted.get(name, "").lower() == "true" for name in ("HasCrop", "AlreadyApplied"))
@@ -172,7 +173,7 @@ def camera_of(
     size_px: tuple[int, int],
     photo_px: tuple[int, int] | None = None,
 ) -> tuple[Projection, Lens]:
-    """Return the projection and the lens that a photo notes, of the whole file.
+    """Return the projection and the lens that are noted for a file.
 
     ``tags`` and ``size_px`` are as in `lens_of`. ``photo_px`` is the size of the photo within any
     borders of the file.

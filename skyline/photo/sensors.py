@@ -45,9 +45,9 @@ class Sensor:
 
 
 def cropped_diagonal(shape: float, kept: float) -> float:
-    """Return the diagonal of the largest part of a shape, over the whole diagonal.
+    """Return the share of a shape's diagonal that its largest part keeps.
 
-    Shapes are widths over heights.
+    The part has the shape ``kept``; shapes are widths over heights.
     """
     return min(shape / kept, 1.0) * hypot(kept, 1.0) / hypot(shape, 1.0)
 

@@ -162,7 +162,7 @@ class Eyes:
         return np.sort(right, axis=0), np.sort(ahead, axis=0)
 
     def _gap_m(self, window: Window) -> Float64Array:
-        """Return how far the eyes lie from a window, metres (N, 2) down and across."""
+        """Return the eyes' distances (N, 2) from a window's rows and columns, metres."""
         first = np.array([window.row, window.col])
         last = first + np.array([window.rows, window.cols]) - 1
         outside = np.maximum(np.maximum(first - self._position, self._position - last), 0.0)

@@ -270,7 +270,7 @@ def _colours(view: PanoramaView) -> UInt8Array:
     terrain = landscape.terrain
     eye = landscape.eye
     away_m = landscape.distance_m
-    grid = np.radians(landscape.azimuth_deg - view.landscape.convergence_deg)[landscape.column]
+    grid = np.radians(landscape.azimuth_deg - landscape.convergence_deg)[landscape.column]
     east_m = eye.easting_m[0] + away_m * np.sin(grid)
     north_m = eye.northing_m[0] + away_m * np.cos(grid)
     step_m = terrain.spacing_m

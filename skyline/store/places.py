@@ -171,7 +171,7 @@ def encode_phases(elevation_tan: Float32Array) -> UInt8Array:
 
 
 def decode_phases(codes: UInt8Array, gain: int = 1) -> Complex64Array:
-    """Return exp(i gain phase) (N, 180) complex64; 0 where the rise is unknown.
+    """Return exp(i gain phase) (N, 180) complex64; 0 for unknown rises.
 
     Omega is as many times `RISE_TO_TURN` as the ``gain`` says.
     """

@@ -25,7 +25,7 @@ from skyline.terrain.viewpoints import Viewpoints, stand_where_possible
 
 @dataclass(frozen=True, slots=True)
 class Nesting:
-    """The nested lattices of a block, each twice as dense as the one before."""
+    """A block's nested lattices, each twice as dense as the last."""
 
     coarsest_m: float = 1280.0
     """Spacing of the coarsest lattice, a whole multiple of the finest."""

@@ -17,10 +17,6 @@ from skyline.arrays import Float64Array
 MAX_SAMPLES = 1 << 31
 """The largest grid: 8 GiB of float32."""
 
-FINEST_M = 0.01
-"""Least spacing of samples. The finest models, of photos by drones, have a few centimetres; a grid
-in degrees that is read as metres has less (a second of arc is 0.0003 degrees)."""
-
 STRIP_SAMPLES = 1 << 22
 """Samples of a strip of rows: few enough that a copy of a strip costs next to no memory."""
 

@@ -30,9 +30,9 @@ from skyline.arrays import (
 from skyline.errors import InputError, printable, some_of
 from skyline.geodesy.bounds import Bounds
 from skyline.geodesy.map_frame import Frame
-from skyline.terrain.grid import FINEST_M, Grid
+from skyline.terrain.grid import Grid
 from skyline.terrain.lazy_heights import LazyHeights
-from skyline.terrain.metric_dem import MetricDem
+from skyline.terrain.metric_dem import FINEST_M, MetricDem
 from skyline.terrain.provenance import Provenance
 
 Ground = Callable[[Float64Array, Float64Array], Float64Array]

@@ -14,7 +14,7 @@ from skyline.errors import InputError
 from skyline.geodesy.bounds import degrees_in_words
 from skyline.geodesy.crs import is_metric, is_of_earth, is_upright, off_area_deg, to_wgs84
 from skyline.geodesy.map_frame import Frame
-from skyline.terrain.grid import FINEST_M, Grid
+from skyline.terrain.grid import Grid
 from skyline.terrain.lazy_heights import Blocks, LazyHeights
 from skyline.terrain.provenance import DemOptions, Provenance
 from skyline.terrain.repair import ABSURD_M, RepairRules, repair
@@ -22,6 +22,10 @@ from skyline.terrain.resampling import Warp, ground_spacing_m, square_spacing_m
 
 if TYPE_CHECKING:
     from skyline.terrain.mosaic import Mosaic
+
+FINEST_M = 0.01
+"""Least spacing of samples. The finest models, of photos by drones, have a few centimetres; a grid
+in degrees that is read as metres has less (a second of arc is 0.0003 degrees)."""
 
 FAR_DEG = 10.0
 """A DEM farther than this from the area of its CRS likely has the coordinates of another CRS."""

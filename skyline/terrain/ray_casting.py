@@ -216,7 +216,7 @@ def _carried_over(
 def _samples_a_metre(
     field: HeightField, azimuth_rad: Float64Array
 ) -> tuple[Float64Array, Float64Array]:
-    """Return how many samples rays pass in a metre, down the rows and to the right."""
+    """Return the rows and the columns that rays pass in a metre."""
     down = -np.cos(azimuth_rad) / field.spacing_north_m
     return down, np.sin(azimuth_rad) / field.spacing_east_m
 

@@ -26,7 +26,7 @@ _NAME_LENGTH = 100
 
 
 def area_id(stores: Sequence[Path]) -> str:
-    """Return the name by which the page asks for an area of stores."""
+    """Return the page's name for an area of stores."""
     return hashlib.sha256(repr([str(one.resolve()) for one in stores]).encode()).hexdigest()
 
 

@@ -114,7 +114,7 @@ class Engine:
 
 
 def _by_name(photos: Sequence[Path]) -> dict[str, Path]:
-    """Return photos by the names that the page shows and knows them by.
+    """Return photos by the names that the page shows.
 
     The second ``IMG.jpg``, of another folder, is ``IMG (2).jpg``.
     """
