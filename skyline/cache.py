@@ -28,6 +28,7 @@ from skyline.errors import FetchError, InputError, MissingFileError, SkylineErro
 from skyline.fetch.dem_tiles import SOURCES, fetch_dem, source_of
 from skyline.files import cache_folder, digest_of, lock_file, version_of
 from skyline.geodesy.bounds import Bounds, check_bounds, contains_box, width_deg
+from skyline.geodesy.earth import EARTH_RADIUS_M
 from skyline.geodesy.map_frame import TRUE_DEG, Frame, in_rectangle
 from skyline.progress import Progress, Step
 from skyline.store.layout import SCHEMA_VERSION
@@ -268,7 +269,8 @@ def _seen_from(bounds_deg: Bounds) -> Bounds:
 def _km2(bounds_deg: Bounds) -> float:
     _, south, _, north = bounds_deg
     height, width = math.radians(north - south), math.radians(width_deg(bounds_deg))
-    return 6371.0**2 * height * width * math.cos(math.radians((south + north) / 2.0))
+    radius_km, middle = EARTH_RADIUS_M / 1e3, math.radians((south + north) / 2.0)
+    return radius_km**2 * height * width * math.cos(middle)
 
 
 def _name_of(bounds_deg: Bounds) -> str:

@@ -10,10 +10,9 @@ from pyproj import CRS, Transformer
 from pyproj.exceptions import CRSError, ProjError
 
 from skyline.errors import InputError, one_line, printable
+from skyline.geodesy.earth import EQUATOR_RADIUS_M
 
 WGS84 = CRS.from_epsg(4326)
-_WGS84_M = 6378137.0
-"""Semi-major axis of WGS 84."""
 
 
 def is_upright(crs: CRS) -> bool:
@@ -54,7 +53,7 @@ def is_of_earth(crs: CRS) -> bool:
 
     Ellipsoids and spheres of the Earth differ by less than 0.2 %; no other body has one so similar.
     """
-    return abs(half_axes_m(crs)[0] / _WGS84_M - 1.0) < 0.005
+    return abs(half_axes_m(crs)[0] / EQUATOR_RADIUS_M - 1.0) < 0.005
 
 
 def lonlat_of(crs: CRS) -> CRS:

@@ -14,6 +14,9 @@ from skyline.errors import InputError
 EARTH_RADIUS_M = 6371008.8
 """The mean radius of the Earth."""
 
+EQUATOR_RADIUS_M = 6378137.0
+"""The radius of the equator, the semi-major axis of WGS 84."""
+
 DEFAULT_REFRACTION_K = 0.13
 """The share of the Earth's curvature that refraction usually compensates by day."""
 

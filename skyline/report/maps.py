@@ -27,6 +27,7 @@ from skyline.angles import wrapped_deg
 from skyline.arrays import BoolArray, Float32Array, Float64Array, FloatArray, UInt8Array
 from skyline.errors import InputError
 from skyline.geodesy.bounds import degrees_in_words
+from skyline.geodesy.earth import EQUATOR_RADIUS_M
 from skyline.geodesy.map_frame import Frame
 from skyline.pose import Ellipse, Pose, view_wedge_m
 from skyline.report.labels import Label, UnnamedPeaks, labels_of
@@ -331,7 +332,7 @@ class ReliefTiles:
         Lines on a slope of 45 degrees lie at least five pixels apart.
         """
         _, south, _, north = self.bounds_deg
-        around_m = 2.0 * np.pi * 6_378_137.0 * np.cos(np.radians((south + north) / 2.0))
+        around_m = 2.0 * np.pi * EQUATOR_RADIUS_M * np.cos(np.radians((south + north) / 2.0))
         least_m = 5.0 * around_m / (TILE_PX * 2.0**zoom)
         return next((one for one in _CONTOURS_M if one >= least_m), None)
 
