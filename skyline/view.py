@@ -190,8 +190,9 @@ class Viewer(Closeable):
     """The terrain as cameras see it.
 
     A viewer finds the skylines, the summits and the place in each pixel of a photo. Poses are in
-    the terrain's frame: make them with `pose`, or with a matcher of the same elevation model. Any
-    thread may call it; `close`, or the end of a ``with`` block, frees its memory on the GPU.
+    the terrain's frame: make them with `pose`, or with a matcher of the same elevation model. A
+    photo, of which the projection and the size count, is a `Photo` or a `PhotoSkyline`. Any thread
+    may call a viewer; `close`, or the end of a ``with`` block, frees its memory on the GPU.
 
     Parameters
     ----------
@@ -328,6 +329,8 @@ class Viewer(Closeable):
     def look(self, pose: Pose, photo: PhotoForm) -> Sight:
         """Return the skyline rendered at a pose, in the photo's pixels.
 
+        The gaps to the photo's own skyline are NaN for a `Photo`.
+
         Raises
         ------
         InputError
@@ -350,8 +353,6 @@ class Viewer(Closeable):
 
         Parameters
         ----------
-        photo : Photo or PhotoSkyline
-            Its size and projection count.
         step : int
             Every ``step``-th row and column is computed, beginning with the first.
         progress : callable, optional
@@ -387,9 +388,8 @@ class Viewer(Closeable):
     def ground_view(self, pose: Pose, photo: PhotoForm) -> GroundView:
         """Return the ground as the camera of a pose sees it.
 
-        Its pixels are those of ``photo``, whose size and projection count. Raises `InputError` for
-        a field of view that the photo's projection cannot have, and `OffMapError` for a pose off
-        the map or on a hole.
+        Its pixels are the photo's. Raises `InputError` for a field of view that the photo's
+        projection cannot have, and `OffMapError` for a pose off the map or on a hole.
         """
         photo.projection.check_fov_deg(pose.fov_deg)
         return GroundView(
