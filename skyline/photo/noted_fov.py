@@ -44,7 +44,7 @@ from skyline.photo.frame import (
 from skyline.photo.panorama import panorama_of_xmp, swept_lens_of
 from skyline.photo.sensors import FULL_FRAME_MM, Sensor, sensor_of
 from skyline.photo.skyline import Lens
-from skyline.photo.tags import Tags, positive, text_of, time_of
+from skyline.photo.tags import Tags, positive, text_of, noted_time
 from skyline.photo.xmp import Xmp
 
 MAX_PINHOLE_ASPECT = 2.5
@@ -355,7 +355,7 @@ def _is_crop(
 
 def _was_edited(tags: Tags) -> bool:
     """Return whether a file was changed after its photo was taken."""
-    taken, changed = (time_of(tags, tag) for tag in (Base.DateTimeOriginal, Base.DateTime))
+    taken, changed = (noted_time(tags, tag) for tag in (Base.DateTimeOriginal, Base.DateTime))
     return taken is not None and changed is not None and abs(changed - taken) > _FOCAL.exposure
 
 

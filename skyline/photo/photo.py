@@ -26,7 +26,7 @@ from skyline.photo.image import (
 from skyline.photo.noted_fov import camera_of
 from skyline.photo.noted_place import NOTHING_NOTED, NotedPlace, place_from_exif
 from skyline.photo.skyline import Lens, PhotoSkyline
-from skyline.photo.tags import time_of
+from skyline.photo.tags import noted_time
 from skyline.photo.xmp import xmp_of
 from skyline.tables import is_table
 
@@ -216,7 +216,7 @@ def read_noted_time(path: Picture) -> datetime | None:
         return None
     with opened_image(path) as image:
         exif = image.getexif().get_ifd(IFD.Exif)
-        return time_of(exif, Base.DateTimeOriginal, Base.OffsetTimeOriginal)
+        return noted_time(exif, Base.DateTimeOriginal, Base.OffsetTimeOriginal)
 
 
 def check_fov(fov_deg: float | None, projection: Projection | None) -> None:

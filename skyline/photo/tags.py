@@ -48,7 +48,7 @@ def positive(value: object) -> float | None:
     return number if number is not None and number > 0.0 else None
 
 
-def time_of(tags: Tags, tag: int, zone_tag: int | None = None) -> datetime | None:
+def noted_time(tags: Tags, tag: int, zone_tag: int | None = None) -> datetime | None:
     """Return the camera's time in a tag; None without one.
 
     It has the zone in another tag, if that notes one.

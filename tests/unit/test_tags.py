@@ -8,7 +8,7 @@ from PIL.ExifTags import IFD, Base
 from PIL.TiffImagePlugin import IFDRational
 
 from skyline.photo.photo import read_noted_time
-from skyline.photo.tags import leading_number, number_of, positive, time_of
+from skyline.photo.tags import leading_number, number_of, positive, noted_time
 
 
 @pytest.mark.parametrize("half", [0.5, IFDRational(1, 2), "0.5", "1/2", "+2.5/5"])
@@ -32,18 +32,18 @@ def test_a_number_may_stand_before_a_unit():
 
 def test_a_time_is_one_of_the_camera_s_clock():
     taken = {Base.DateTimeOriginal: "2026:06:21 12:30:05\0"}
-    assert time_of(taken, Base.DateTimeOriginal) == datetime(2026, 6, 21, 12, 30, 5)
-    assert time_of(taken, Base.DateTime) is None
-    assert time_of({Base.DateTime: "    :  :     :  :  "}, Base.DateTime) is None
+    assert noted_time(taken, Base.DateTimeOriginal) == datetime(2026, 6, 21, 12, 30, 5)
+    assert noted_time(taken, Base.DateTime) is None
+    assert noted_time({Base.DateTime: "    :  :     :  :  "}, Base.DateTime) is None
 
 
 def test_a_noted_zone_belongs_to_the_time():
     """12:30 in central Europe's summer is 10:30 UTC."""
     tags = {Base.DateTimeOriginal: "2026:06:21 12:30:05", Base.OffsetTimeOriginal: "+02:00\0"}
     both = Base.DateTimeOriginal, Base.OffsetTimeOriginal
-    assert time_of(tags, *both) == datetime(2026, 6, 21, 10, 30, 5, tzinfo=UTC)
+    assert noted_time(tags, *both) == datetime(2026, 6, 21, 10, 30, 5, tzinfo=UTC)
     blank = tags | {Base.OffsetTimeOriginal: "   :  "}
-    assert time_of(blank, *both) == datetime(2026, 6, 21, 12, 30, 5)
+    assert noted_time(blank, *both) == datetime(2026, 6, 21, 12, 30, 5)
 
 
 def test_a_file_notes_when_its_photo_was_taken(tmp_path):
