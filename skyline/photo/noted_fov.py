@@ -44,7 +44,7 @@ from skyline.photo.frame import (
 from skyline.photo.panorama import panorama_of_xmp, swept_lens_of
 from skyline.photo.sensors import FULL_FRAME_MM, Sensor, sensor_of
 from skyline.photo.skyline import Lens
-from skyline.photo.tags import Tags, positive, text_of, noted_time
+from skyline.photo.tags import Tags, noted_time, positive, text_of
 from skyline.photo.xmp import Xmp
 
 MAX_PINHOLE_ASPECT = 2.5

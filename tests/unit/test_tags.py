@@ -8,7 +8,7 @@ from PIL.ExifTags import IFD, Base
 from PIL.TiffImagePlugin import IFDRational
 
 from skyline.photo.photo import read_noted_time
-from skyline.photo.tags import leading_number, number_of, positive, noted_time
+from skyline.photo.tags import leading_number, noted_time, number_of, positive
 
 
 @pytest.mark.parametrize("half", [0.5, IFDRational(1, 2), "0.5", "1/2", "+2.5/5"])
