@@ -29,8 +29,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skyline.arrays import Float64Array, Rows
+from skyline.arrays import BoolArray, Float64Array, Rows
 from skyline.terrain.height_errors import HEIGHT_REACH_M, height_correlation
+
+GREATEST_LOG_ODDS = 50.0
+"""Greater log odds count as this, so that their exponential is finite."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,7 +134,7 @@ class Likelihood(Rows):
 
     cost: Float64Array
     """(M,) float64. Negative log-likelihood."""
-    fit: Float64Array
+    half_chi2: Float64Array
     """(M,) float64. The part of the cost that is half the squared residuals over their
     covariance."""
     terrain_probability: Float64Array
@@ -166,12 +169,12 @@ class Likelihood(Rows):
         whose pixels are larger angles, would seem more likely.
         """
         count = np.maximum(self.trusted_probability.sum(axis=1), 1e-12)
-        common = np.sqrt(2.0 * self.fit / count)
+        common = np.sqrt(2.0 * self.half_chi2 / count)
         common = np.clip(common, _MODEL.least_factor, _MODEL.greatest_factor)
         return replace(
             self,
-            cost=self.cost + count * np.log(common) + self.fit * (common**-2.0 - 1.0),
-            fit=self.fit / common**2,
+            cost=self.cost + count * np.log(common) + self.half_chi2 * (common**-2.0 - 1.0),
+            half_chi2=self.half_chi2 / common**2,
             weight=self.weight / common[:, np.newaxis] ** 2,
             factor=self.factor * common[:, np.newaxis, np.newaxis],
         )
@@ -200,77 +203,123 @@ def likelihood(
     residual_rad: Float64Array,
     trust: Float64Array,
     errors: HeightErrors,
-    angle_deg: Float64Array,
-    height_m: Float64Array,
+    angle_sd_deg: Float64Array,
+    height_sd_m: Float64Array,
     terrain_probability: Float64Array,
     scale: Float64Array | float = 1.0,
 ) -> Likelihood:
     """Return the likelihood of residuals.
 
-    The probability that each column shows terrain is improved once. ``residual_rad`` (M, R) is
-    photo minus terrain, NaN where the terrain is unknown; such a column is as likely as one that
-    does not show terrain.
-    ``trust`` (R,) is the trust in the photo's columns, and ``terrain_probability`` (M, R) is
-    what that improvement starts from. ``angle_deg`` and ``height_m`` (M,) are the standard
-    deviations of the photo's error and of the model's heights. ``scale`` (M,) is the angle of a
-    pixel, as a multiple of its angle in the photo's assumed lens: the photo's error is a number of
-    pixels, and the likelihood is a density over pixels.
+    The probability that each column shows terrain is improved once.
+
+    Parameters
+    ----------
+    residual_rad : (M, R) float64
+        Photo minus terrain, NaN where the terrain is unknown; such a column is as likely as one
+        that does not show terrain.
+    trust : (R,) float64
+        Trust in the photo's columns.
+    errors : HeightErrors
+    angle_sd_deg, height_sd_m : (M,) float64
+        Standard deviations of the photo's error and of the model's heights.
+    terrain_probability : (M, R) float64
+        Probabilities that columns show terrain, which are improved.
+    scale : (M,) float64
+        The angle of a pixel, as a multiple of its angle in the photo's assumed lens: the photo's
+        error is a number of pixels, and the likelihood is a density over pixels.
     """
     scale = np.broadcast_to(scale, len(residual_rad))[:, np.newaxis]
     known = np.isfinite(residual_rad)
     residual = np.where(known, residual_rad, 0.0)
-    angle_rad = scale * np.radians(angle_deg)[:, np.newaxis]
-    height_m = height_m[:, np.newaxis]
-    variance = angle_rad**2 + (height_m * errors.rough) ** 2 + errors.blur_rad**2
-    factor = height_m[..., np.newaxis] * errors.factor
+    photo_variance = (scale * np.radians(angle_sd_deg)[:, np.newaxis]) ** 2
+    height_sd_m = height_sd_m[:, np.newaxis]
+    variance = photo_variance + (height_sd_m * errors.rough) ** 2 + errors.blur_rad**2
+    factor = height_sd_m[..., np.newaxis] * errors.factor
     explained, inner, _ = _explained(
         residual, trust * terrain_probability * known / variance, factor
     )
     spread = ((factor @ inner) * factor).sum(axis=-1)
     off = residual - explained
-    bare: Float64Array | float = 1.0 - _MODEL.above_share - _MODEL.below_share
-    log_other = log_density_without_terrain(residual)
-    limited = np.isfinite(errors.rise_rad)
-    open_ = errors.beyond_rad > 0.0
-    if limited.any():
-        shown = 1.0 - 2.0 * _MODEL.below_share
-        covered, density = _raised(off, errors.rise_rad, np.sqrt(variance + spread), shown)
-        bare = np.where(limited, shown - covered, bare)
-        density = scale * density + _DENSITY_BELOW
-        log_other = np.where(limited, np.log(density), log_other)
-    if open_.any():
-        sd_rad = np.sqrt(variance + spread)
-        hidden, density = _raised(off, errors.beyond_rad, sd_rad, 1.0)
-        density = scale * density
-        other = np.exp(log_other)
-        seen = bare * scale / np.sqrt(2.0 * np.pi * variance)
-        seen = seen * np.exp(-0.5 * (off**2 + spread) / variance) + other
-        share = _beyond_share(trust * (open_ & known), hidden, density, seen)
-        bare = np.where(open_, bare * (1.0 - share * hidden), bare)
-        either = other * (1.0 - share * hidden) + share * density
-        log_other = np.where(open_, np.log(either), log_other)
+    half_squares = 0.5 * (off**2 + spread) / variance
+    bare, log_other = _odds_of_things(residual, off, variance + spread, errors.rise_rad, scale)
+    may_rise = errors.beyond_rad > 0.0
+    if may_rise.any():
+        hidden, density = _raised(off, errors.beyond_rad, np.sqrt(variance + spread), 1.0)
+        shown = bare * scale / np.sqrt(2.0 * np.pi * variance) * np.exp(-half_squares)
+        bare, log_other = _odds_beyond_edge(
+            bare, log_other, shown, trust * known, may_rise, hidden, scale * density
+        )
     log_peak = np.log(bare) - 0.5 * np.log(2.0 * np.pi * variance / scale**2)
-    log_terrain = log_peak - 0.5 * (off**2 + spread) / variance
-    ratio = np.exp(np.clip(log_terrain - log_other, -50.0, 50.0))
-    terrain_probability = known * ratio / (1.0 + ratio)
+    log_terrain = log_peak - half_squares
+    odds = np.exp(np.clip(log_terrain - log_other, -GREATEST_LOG_ODDS, GREATEST_LOG_ODDS))
+    terrain_probability = known * odds / (1.0 + odds)
     weight = trust * terrain_probability / variance
     explained, inner, half_log_det = _explained(residual, weight, factor)
     # The entropy of these probabilities, and the log densities that they weigh, add up to one
-    # logarithm. This needs a ratio below its upper bound: with the solver's least deviation the
-    # ratio is at most e^10.
-    each = -log_other - known * np.log1p(ratio)
+    # logarithm. This needs odds below their upper bound: with the solver's least deviation they are
+    # at most e^10.
+    each = -log_other - known * np.log1p(odds)
     each += terrain_probability * (log_terrain - log_peak)
-    fit = 0.5 * (weight * residual * (residual - explained)).sum(axis=1)
-    cost = each @ trust + half_log_det + fit
+    half_chi2 = 0.5 * (weight * residual * (residual - explained)).sum(axis=1)
     return Likelihood(
-        cost,
-        fit,
-        terrain_probability,
-        trust * terrain_probability,
-        angle_rad**2 / variance,
-        weight,
-        factor,
-        inner,
+        cost=each @ trust + half_log_det + half_chi2,
+        half_chi2=half_chi2,
+        terrain_probability=terrain_probability,
+        trusted_probability=trust * terrain_probability,
+        photo_share=photo_variance / variance,
+        weight=weight,
+        factor=factor,
+        inner=inner,
+    )
+
+
+def _odds_of_things(
+    residual: Float64Array,
+    off: Float64Array,
+    variance: Float64Array,
+    rise_rad: Float64Array,
+    scale: Float64Array,
+) -> tuple[Float64Array | float, Float64Array]:
+    """Return how likely columns show bare terrain, and how they lie otherwise.
+
+    The first result is the prior probability that no tree or house hides the terrain's skyline; the
+    second (M, R) is the log density of the residual of a column that does not show that skyline.
+    ``off`` is what height errors leave of the residuals, with its ``variance``.
+    """
+    bare = 1.0 - _MODEL.above_share - _MODEL.below_share
+    log_other = log_density_without_terrain(residual)
+    has_surface = np.isfinite(rise_rad)
+    if not has_surface.any():
+        return bare, log_other
+    uncovered = 1.0 - 2.0 * _MODEL.below_share
+    covered, density = _raised(off, rise_rad, np.sqrt(variance), uncovered)
+    density = scale * density + _DENSITY_BELOW
+    return (
+        np.where(has_surface, uncovered - covered, bare),
+        np.where(has_surface, np.log(density), log_other),
+    )
+
+
+def _odds_beyond_edge(
+    bare: Float64Array | float,
+    log_other: Float64Array,
+    shown: Float64Array,
+    trust: Float64Array,
+    may_rise: BoolArray,
+    hidden: Float64Array,
+    density: Float64Array,
+) -> tuple[Float64Array, Float64Array]:
+    """Return `_odds_of_things` where terrain past the data's edge may rise, too.
+
+    ``shown`` is the density of a column's residual together with bare terrain; for ``hidden`` and
+    ``density`` see `_beyond_share`.
+    """
+    other = np.exp(log_other)
+    share = _beyond_share(trust * may_rise, hidden, density, shown + other)
+    either = other * (1.0 - share * hidden) + share * density
+    return (
+        np.where(may_rise, bare * (1.0 - share * hidden), bare),
+        np.where(may_rise, np.log(either), log_other),
     )
 
 

@@ -27,6 +27,7 @@ import numpy as np
 from skyline.arrays import Float64Array
 from skyline.camera import MAX_FISHEYE_DEG, MAX_PANORAMA_DEG, Projection
 from skyline.match.lens_prior import LensPrior
+from skyline.match.likelihood import GREATEST_LOG_ODDS
 from skyline.match.rays import Rays, in_runs, usual_distortion
 from skyline.match.refine import Refinement
 from skyline.match.solver import ROUGH, TEMPERATURE, Fit
@@ -145,7 +146,8 @@ def find_other_projection(
         fit = _best_fit(refinement_of(bent), start)
         log_p = -0.5 * float(np.square(fit.state[0, WARP:] / bent.warp_sd).sum())
         log_odds = float(own.cost[0] - fit.cost[0]) / TEMPERATURE + log_p - own_log_p
-        log_odds = min(max(log_odds + prior_log_odds, -50.0), 50.0)
+        log_odds += prior_log_odds
+        log_odds = min(max(log_odds, -GREATEST_LOG_ODDS), GREATEST_LOG_ODDS)
         fov_deg = float(bent.fov_at(fit.state[0, LOG_SCALE]))
         others.append(OtherProjection(bent.projection, fov_deg, 1.0 / (1.0 + math.exp(-log_odds))))
     second, likeliest = sorted(others, key=lambda other: other.probability)

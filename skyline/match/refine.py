@@ -23,6 +23,7 @@ import numpy as np
 from skyline.angles import angle_between_deg
 from skyline.arrays import BoolArray, Complex128Array, Float64Array, IntArray, Rows
 from skyline.match.eye_prior import EyeHeightPrior
+from skyline.match.likelihood import GREATEST_LOG_ODDS
 from skyline.match.prior import NOTHING_KNOWN, Prior
 from skyline.match.rays import Rays
 from skyline.match.solver import (
@@ -53,8 +54,6 @@ from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints
 
 VIEW_WIDTH = 360
 """Columns of the views that refinement renders."""
-GREATEST_LOG_ODDS = 50.0
-"""Greater log odds count as this, so that their exponential is finite."""
 
 
 @dataclass(frozen=True, slots=True)

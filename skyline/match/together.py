@@ -6,14 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from skyline.arrays import BoolArray, Complex128Array, Float64Array
-from skyline.match.refine import (
-    GREATEST_LOG_ODDS,
-    MOVES,
-    Particles,
-    Refinement,
-    best_and_rivals,
-    spread_m2,
-)
+from skyline.match.likelihood import GREATEST_LOG_ODDS
+from skyline.match.refine import MOVES, Particles, Refinement, best_and_rivals, spread_m2
 from skyline.match.solver import EYE_HEIGHT, TEMPERATURE
 from skyline.pose import DISTANCES_M, Poses
 

@@ -71,8 +71,8 @@ def test_the_scale_of_all_errors_is_the_likeliest(sd_rad):
     assert found.scaled().cost[0] <= found.cost[0]
     held = found.scaled()
     covariance = held.factor[0] @ held.factor[0].T + np.diag(1.0 / held.weight[0])
-    fit = 0.5 * residual[0] @ np.linalg.solve(covariance, residual[0])
-    assert held.fit[0] == pytest.approx(fit, rel=1e-6)
+    half_chi2 = 0.5 * residual[0] @ np.linalg.solve(covariance, residual[0])
+    assert held.half_chi2[0] == pytest.approx(half_chi2, rel=1e-6)
 
 
 @pytest.mark.parametrize(("off_deg", "is_cheaper"), [(1.0, True), (3.0, False), (-1.0, False)])
