@@ -53,11 +53,15 @@ _NEIGHBOURS = ((-1, 0), (0, -1), (1, 0), (0, 1))
 """Steps of the indices into `ANGLES_DEG` and `HEIGHT_SHARES` that are tried."""
 _MOVES = slice(EAST, HEADING)
 """The columns of a state that move the eye."""
+_TANGENT, _SLOPE, _BY_MOVE, _DISTANCE, _RISE = 0, 1, slice(2, 5), 5, 6
+"""Channels of curves: the elevation tangent, its slope by azimuth, its derivatives by a metre east,
+north and up, the distance, and how far things may rise above the tangent."""
 _AGREEMENT_RAD = np.radians(np.arange(-4.0, 4.01, 0.25))
 """Shifts of the whole curve that are tried."""
 _AGREEMENT_SD_RAD = np.radians(0.3)
 """Standard deviation of columns about a shift on which they agree."""
-_NO_STEP_M = 1e-6
+_LEAST_SD_M = 1e-6
+"""Replaces a standard deviation of 0 m, by which nothing can be divided."""
 _HELD = 1e14
 """Precision that holds an unknown: at a bound, or a distortion at 0."""
 
@@ -92,7 +96,7 @@ class SolverPriors:
     damping_rad: float = 0.05
     """Standard deviation with which a step of the attitude, and of the field of view's logarithm,
     is damped."""
-    upward: float = 0.25
+    upward_share: float = 0.25
     """Standard deviation with which a step of the eye's height is damped, as a share of the one for
     its place."""
 
@@ -132,9 +136,8 @@ class Curves(Rows):
     """The skylines of M eyes, with derivatives by the eyes' moves."""
 
     channels: Float64Array
-    """(M, B, 6 or 7) float64. At azimuth 360 b / B degrees: elevation tangent, its slope by
-    azimuth, its derivatives by a metre east, north and up, distance, and, if there is a surface
-    model, how far things may rise above the tangent. NaN where unknown."""
+    """(M, B, 6 or 7) float64. The channels `_TANGENT` to `_RISE`, without the last if there is no
+    surface model, at azimuth 360 b / B degrees. NaN where unknown."""
     place_m: Complex128Array
     """(M,) complex128. Eastings of the eyes, and northings as the imaginary part."""
     ground_m: Float64Array
@@ -248,33 +251,49 @@ class Solver:
         self._edge = edge
         self.height_sds_m = HEIGHT_SHARES * height_sd_m
         """Standard deviations of the terrain model's heights that are tried."""
-        low, high = rays.log_scale_bounds
-        self.size = size = WARP + len(rays.warp_sd)
+        self.size = WARP + len(rays.warp_sd)
         """Unknowns P of a state."""
-        self._low = np.full(size, -np.inf)
-        self._high = np.full(size, np.inf)
-        self._low[LOG_SCALE] = low
-        self._high[LOG_SCALE] = high
-        self._low[EYE_HEIGHT], self._high[EYE_HEIGHT] = eye.range_m
-        # The uniform distribution over the range of fields of view has this deviation.
-        range_sd = max((high - low) / np.sqrt(12.0), 1e-6)
-        self._prior = np.zeros(size)
-        self._prior[PITCH] = _PRIORS.pitch_sd_rad**-2
-        self._prior[ROLL] = _PRIORS.roll_sd_rad**-2
-        free = np.full(size, np.inf)
-        free[[EAST, NORTH]] = _PRIORS.position_sd_m
-        free[EYE_HEIGHT] = max(eye.sd_m, _NO_STEP_M)
-        free[HEADING] = np.pi
-        free[LOG_SCALE] = range_sd
-        self._prior[WARP:] = rays.warp_sd**-2.0
-        if not rays.is_panorama:
-            self._low[WARP:] = -MOST_DISTORTION
-            self._high[WARP:] = MOST_DISTORTION
-            if not mode.nodes and rays.distortion_sd < _PRIORS.least_rough_distortion:
-                self._prior[WARP:] = _HELD
-        self._information = self._prior + free**-2.0
+        self._low, self._high = self._bounds()
+        self._prior = self._prior_precision()
+        self._information = self._prior + self._widest_sd() ** -2.0
         off = np.log(HEIGHT_SHARES) / _PRIORS.log_height_sd
         self._height_cost = _PRIORS.terrain_weight * 0.5 * off**2
+
+    def _bounds(self) -> tuple[Float64Array, Float64Array]:
+        """Return the least and the greatest values (P,) of a state."""
+        low = np.full(self.size, -np.inf)
+        high = np.full(self.size, np.inf)
+        low[LOG_SCALE], high[LOG_SCALE] = self.rays.log_scale_bounds
+        low[EYE_HEIGHT], high[EYE_HEIGHT] = self._eye.range_m
+        if not self.rays.is_panorama:
+            low[WARP:] = -MOST_DISTORTION
+            high[WARP:] = MOST_DISTORTION
+        return low, high
+
+    def _prior_precision(self) -> Float64Array:
+        """Return the precision (P,) of the normal priors about 0.
+
+        The lens and the eye's height have other priors, so theirs is 0 here.
+        """
+        precision = np.zeros(self.size)
+        precision[PITCH] = _PRIORS.pitch_sd_rad**-2
+        precision[ROLL] = _PRIORS.roll_sd_rad**-2
+        precision[WARP:] = self.rays.warp_sd**-2.0
+        is_straight = self.rays.distortion_sd < _PRIORS.least_rough_distortion
+        if is_straight and not (self.mode.nodes or self.rays.is_panorama):
+            precision[WARP:] = _HELD
+        return precision
+
+    def _widest_sd(self) -> Float64Array:
+        """Return how far unknowns (P,) deviate if the skyline tells nothing of them."""
+        sd = np.full(self.size, np.inf)
+        sd[[EAST, NORTH]] = _PRIORS.position_sd_m
+        sd[EYE_HEIGHT] = max(self._eye.sd_m, _LEAST_SD_M)
+        sd[HEADING] = np.pi
+        # The uniform distribution over the range of fields of view has this deviation; a field of
+        # view that is known exactly has no range.
+        sd[LOG_SCALE] = max((self._high[LOG_SCALE] - self._low[LOG_SCALE]) / np.sqrt(12.0), 1e-6)
+        return sd
 
     def start(self, poses: Poses) -> Fit:
         """Return poses as states without a cost, with the largest errors."""
@@ -402,30 +421,31 @@ class Solver:
         )
         azimuth = turned + state[:, HEADING, np.newaxis]
         skyline = curves.at(azimuth)
-        slope = skyline[..., 1:2]
-        change = skyline[..., 2:5]
+        by_move = skyline[..., _BY_MOVE]
         move = state[:, _MOVES].copy()
         move[:, EYE_HEIGHT] -= curves.eye_height_m
-        y = skyline[..., 0] + (change @ move[..., np.newaxis])[..., 0]
+        y = skyline[..., _TANGENT] + (by_move @ move[..., np.newaxis])[..., 0]
         # Differences of tangents become angles; the derivative of this factor is left out.
         to_angle = 1.0 / (1.0 + ray_y**2)
-        attitude = ray_change - slope * turned_change
-        change = np.concatenate([-change, -slope, attitude], axis=-1)
+        by_heading = -skyline[..., _SLOPE, np.newaxis]
+        by_attitude = ray_change + by_heading * turned_change
+        change = np.concatenate([-by_move, by_heading, by_attitude], axis=-1)
         # The photo's columns come last, since products sum over them.
         jacobian = np.ascontiguousarray(change.swapaxes(1, 2))
         jacobian *= to_angle[:, np.newaxis]
         residual = (ray_y - y) * to_angle
         # Next to an unknown column the curve may be known but not its slope.
         known = np.isfinite(residual) & np.isfinite(jacobian).all(axis=1)
+        has_surface = skyline.shape[-1] > _RISE
         return Linearization(
-            np.where(known, residual, np.nan),
-            np.where(known[:, np.newaxis], jacobian, 0.0),
-            azimuth,
-            skyline[..., 5],
-            skyline[..., 6] * to_angle if skyline.shape[-1] > 6 else None,
-            curves.place_m + state[:, EAST] + 1j * state[:, NORTH],
-            curves.ground_m + state[:, EYE_HEIGHT],
-            y,
+            residual_rad=np.where(known, residual, np.nan),
+            jacobian=np.where(known[:, np.newaxis], jacobian, 0.0),
+            azimuth_rad=azimuth,
+            distance_m=skyline[..., _DISTANCE],
+            rise_rad=skyline[..., _RISE] * to_angle if has_surface else None,
+            place_m=curves.place_m + state[:, EAST] + 1j * state[:, NORTH],
+            eye_m=curves.ground_m + state[:, EYE_HEIGHT],
+            elevation_tan=y,
         )
 
     def beyond_rad(self, linear: Linearization) -> Float64Array:
@@ -514,26 +534,8 @@ class Solver:
         self, fit: Fit, linear: Linearization, found: Likelihood, step_m: Float64Array
     ) -> Fit:
         """Return the fit after one step within the bounds of the state."""
-        miss = np.nan_to_num(linear.residual_rad)[:, np.newaxis]
-        # The prior pulls the eye to the curve's eye, and the other unknowns to usual values.
-        height_m = fit.state[:, EYE_HEIGHT]
-        step_m = np.maximum(step_m, _NO_STEP_M)
-        prior = np.tile(self._prior, (len(step_m), 1))
-        prior[:, LOG_SCALE] = self._lens_precision(fit.state)
-        prior[:, [EAST, NORTH]] = step_m[:, np.newaxis] ** -2
-        prior[:, EYE_HEIGHT] = _PRIORS.terrain_weight * self._eye.precision(height_m)
-        off = fit.state.copy()
-        off[:, EYE_HEIGHT] -= self._eye.usual_m
-        # Damping shortens a step, whichever way it leads.
-        damping = np.zeros_like(prior)
-        damping[:, EYE_HEIGHT] = (_PRIORS.upward * step_m) ** -2
-        damping[:, HEADING:] = _PRIORS.damping_rad**-2
-        normal = found.product(linear.jacobian, linear.jacobian)
-        normal += (prior + damping)[:, np.newaxis] * np.eye(self.size)
-        gradient = found.product(linear.jacobian, miss)[..., 0] + prior * off
-        gradient[:, LOG_SCALE] -= found.log_scale_pull(miss[:, 0])
-        self._pull_to_noted(linear, normal, gradient)
-        state = fit.state - np.linalg.solve(normal, gradient[..., np.newaxis])[..., 0]
+        normal, gradient = self._normal_equations(fit.state, linear, found, step_m)
+        state = _solved(fit.state, normal, gradient)
         bounded = np.clip(state, self._low, self._high)
         outside = bounded != state
         if outside.any():
@@ -541,9 +543,36 @@ class Solver:
             hold = np.where(outside, _HELD, 0.0)
             normal += hold[:, np.newaxis] * np.eye(self.size)
             gradient += np.where(outside, _HELD * (fit.state - bounded), 0.0)
-            state = fit.state - np.linalg.solve(normal, gradient[..., np.newaxis])[..., 0]
-            state = np.clip(state, self._low, self._high)
-        return replace(fit, state=state)
+            bounded = np.clip(_solved(fit.state, normal, gradient), self._low, self._high)
+        return replace(fit, state=bounded)
+
+    def _normal_equations(
+        self,
+        state: Float64Array,
+        linear: Linearization,
+        found: Likelihood,
+        step_m: Float64Array,
+    ) -> tuple[Float64Array, Float64Array]:
+        """Return the matrices (M, P, P) and gradients (M, P) of damped steps."""
+        miss = np.nan_to_num(linear.residual_rad)[:, np.newaxis]
+        # The prior pulls the eye to the curve's eye, and the other unknowns to usual values.
+        step_m = np.maximum(step_m, _LEAST_SD_M)
+        prior = np.tile(self._prior, (len(step_m), 1))
+        prior[:, LOG_SCALE] = self._lens_precision(state)
+        prior[:, [EAST, NORTH]] = step_m[:, np.newaxis] ** -2
+        prior[:, EYE_HEIGHT] = _PRIORS.terrain_weight * self._eye.precision(state[:, EYE_HEIGHT])
+        off = state.copy()
+        off[:, EYE_HEIGHT] -= self._eye.usual_m
+        # Damping shortens a step, whichever way it leads.
+        damping = np.zeros_like(prior)
+        damping[:, EYE_HEIGHT] = (_PRIORS.upward_share * step_m) ** -2
+        damping[:, HEADING:] = _PRIORS.damping_rad**-2
+        normal = found.product(linear.jacobian, linear.jacobian)
+        normal += (prior + damping)[:, np.newaxis] * np.eye(self.size)
+        gradient = found.product(linear.jacobian, miss)[..., 0] + prior * off
+        gradient[:, LOG_SCALE] -= found.log_scale_pull(miss[:, 0])
+        self._pull_to_noted(linear, normal, gradient)
+        return normal, gradient
 
     def _pull_to_noted(
         self, linear: Linearization, normal: Float64Array, gradient: Float64Array
@@ -556,3 +585,8 @@ class Solver:
         gradient[:, _MOVES] += precision * offset_m
         for axis in (EAST, NORTH, EYE_HEIGHT):
             normal[:, axis, axis] += precision[:, axis]
+
+
+def _solved(state: Float64Array, normal: Float64Array, gradient: Float64Array) -> Float64Array:
+    """Return states (M, P) after the Gauss-Newton step of normal equations."""
+    return np.asarray(state - np.linalg.solve(normal, gradient[..., np.newaxis])[..., 0])
