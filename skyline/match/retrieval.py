@@ -46,8 +46,8 @@ class RetrievalEffort:
     of them, the edges of a view of 60 degrees are off by one bin of phases."""
     screened_again: int = 4
     """Places that the fine screen compares again, for each one that is wanted."""
-    first: int = 2048
-    """Places of the first short list."""
+    first_places: int = 2048
+    """Places from which the first short list is made."""
     start_step: float = 0.09
     """Step of `Rays.log_scale` between the fields of view that fits start from."""
     likely_sd: float = 2.5
@@ -59,11 +59,11 @@ class RetrievalEffort:
     """Narrower fields of view are screened if a crop is at least so probable."""
     crop_steps: float = 2.0
     """Step between these narrower fields of view, in steps of the likely ones."""
-    rough_share: float = 0.05
+    last_share: float = 0.05
     """Share of all places from which the last short list is made."""
-    rough_least: int = 16_384
+    last_least: int = 16_384
     """Least number of these places."""
-    rough_most: int = 65_536
+    last_most: int = 65_536
     """Greatest number of these places. Among six million places, none of 29 queries came into a
     short list from a rank beyond 13,198."""
     turns: int = 3
@@ -115,20 +115,20 @@ class Retriever:
     ) -> None:
         self._at_once = at_once
         self._shards = [shard for shards in areas for shard in shards]
-        self._area = np.repeat(np.arange(len(areas)), [len(shards) for shards in areas])
+        self._area_of_shard = np.repeat(np.arange(len(areas)), [len(shards) for shards in areas])
         self._frames = frames
-        self._first = np.cumsum([0, *map(len, self._shards)])
-        share = math.ceil(_EFFORT.rough_share * len(self))
-        self._rough = min(max(share, _EFFORT.rough_least), _EFFORT.rough_most)
+        self._first_row = np.cumsum([0, *map(len, self._shards)])
+        share = math.ceil(_EFFORT.last_share * len(self))
+        self._last_places = min(max(share, _EFFORT.last_least), _EFFORT.last_most)
 
     def __len__(self) -> int:
-        return int(self._first[-1])
+        return int(self._first_row[-1])
 
     def sample(self, count: int) -> Places:
         """Return about ``count`` places, the same ones in every process."""
         step = max(1, len(self) // count)
         rows = np.arange(0, len(self), step, dtype=np.intp)
-        return self._of_each(rows, lambda shard, _, mine: shard.take(mine), Places.concatenate)
+        return self._of_each(rows, lambda shard, _, own: shard.take(own), Places.concatenate)
 
     @cached_property
     def _sample(self) -> Places:
@@ -146,10 +146,10 @@ class Retriever:
 
     def _shard_of(self, rows: IntArray) -> IntArray:
         """Return the numbers (M,) of the shards that hold places."""
-        return np.searchsorted(self._first, rows, side="right") - 1
+        return np.searchsorted(self._first_row, rows, side="right") - 1
 
     def _asked(self, asks: Iterable[Callable[[], T]]) -> Iterator[T]:
-        """Yield the answers of shards, in order."""
+        """Yield shards' answers, in order."""
         if self._at_once == 1:
             yield from (ask() for ask in asks)
             return
@@ -167,10 +167,11 @@ class Retriever:
         ``ask`` takes a shard, the indices of its places in ``rows``, and their rows in the shard.
         """
         number = self._shard_of(rows)
+        # About no places the first shard is asked: its answer is empty, and of the right kind.
         asked = np.unique(number).tolist() if len(rows) else [0]
         at = [np.flatnonzero(number == one) for one in asked]
         asks = (
-            partial(ask, self._shards[one], mine, rows[mine] - self._first[one])
+            partial(ask, self._shards[one], mine, rows[mine] - self._first_row[one])
             for one, mine in zip(asked, at, strict=True)
         )
         parts = list(self._asked(asks))
@@ -207,19 +208,27 @@ class Retriever:
         """
         starts: list[Starts] = []
         fitted: list[Poses] = []
-        counts = (_EFFORT.first, self._rough)
+        counts = (_EFFORT.first_places, self._last_places)
         for alike in self._screened([self._screens(rays, prior)], [prior], counts, report):
-            start = self._start(rays, prior, alike, math.ceil(_EFFORT.starts * len(alike)))
-            starts += self._promising([rays], [start], _good_count(len(start)), report)
-            fitted.append(self._fits(rays, starts[-1], GOOD_FIT, report))
+            its_starts, its_poses = self._fitted_at(rays, prior, alike, report)
+            starts.append(its_starts)
+            fitted.append(its_poses)
             poses = Poses.concatenate(fitted)
-            is_allowed = self.allowed(prior, poses)
-            poses = poses[is_allowed]
             if len(fitted) > 1:
-                beside = self._beside(rays, Starts.concatenate(starts)[is_allowed], poses)
+                beside = self._beside(rays, Starts.concatenate(starts), poses)
                 climbed = self._fits(rays, beside, GOOD_FIT, report)
                 poses = Poses.concatenate([poses, climbed[self.allowed(prior, climbed)]])
             yield poses[_distinct(poses, count)]
+
+    def _fitted_at(
+        self, rays: Rays, prior: Prior, alike: Alike, report: StepProgress
+    ) -> tuple[Starts, Poses]:
+        """Return the allowed poses fitted well at places, with their starts."""
+        starts = self._starts(rays, prior, alike, math.ceil(_EFFORT.starts * len(alike)))
+        (starts,) = self._promising([rays], [starts], _good_count(len(starts)), report)
+        poses = self._fits(rays, starts, GOOD_FIT, report)
+        is_allowed = self.allowed(prior, poses)
+        return starts[is_allowed], poses[is_allowed]
 
     def _screened(
         self,
@@ -257,14 +266,14 @@ class Retriever:
         report: StepProgress,
     ) -> Alike:
         """Return the best ``count`` places of all shards, best first."""
-        known = [prior.in_frames(self._frames) for prior in priors]
+        by_area = [prior.in_frames(self._frames) for prior in priors]
         kept = Alike.joined([])
         least = -math.inf
 
         def screened(number: int) -> Alike:
             shard = self._shards[number]
-            there = [its_priors[self._area[number]] for its_priors in known]
-            first = self._first[number]
+            there = [its_priors[self._area_of_shard[number]] for its_priors in by_area]
+            first = self._first_row[number]
             told = partial(_report_part, report, first / len(self), len(shard) / len(self))
             alike = shard.screened(screens, there, count, least, told)
             return replace(alike, row=first + alike.row)
@@ -280,7 +289,7 @@ class Retriever:
     def _rescored(self, screens: Sequence[Screen], rows: IntArray) -> Float32Array:
         """Return the sums of photos' scores at places (M,)."""
         return self._of_each(
-            rows, lambda shard, _, mine: shard.rescored(screens, mine), np.concatenate
+            rows, lambda shard, _, own: shard.rescored(screens, own), np.concatenate
         )
 
     def alike_places(
@@ -289,8 +298,8 @@ class Retriever:
         """Return all places within the narrowings of photos, with scores.
 
         The photos are of one eye, and the places of one area. The coarse screen gives the scores,
-        which are summed over the photos.
-        Raises `InputError` where the search is narrowed to no place.
+        which are summed over the photos. Raises `InputError` where the search is narrowed to no
+        place.
         """
         priors = [prior for _, prior in photos]
         coarse = [self._screens(rays, prior)[0] for rays, prior in photos]
@@ -335,17 +344,17 @@ class Retriever:
         """
         priors = [prior for _, prior in photos]
         screens = [self._screens(rays, prior) for rays, prior in photos]
-        alike = next(self._screened(screens, priors, [self._rough], report))
+        alike = next(self._screened(screens, priors, [self._last_places], report))
         starts = []
         for (rays, prior), (_, fine) in zip(photos, screens, strict=True):
             own = replace(alike, score=self._rescored([fine], alike.row))
-            starts.append(self._start(rays, prior, own, len(own), turns=1))
+            starts.append(self._starts(rays, prior, own, len(own), turns=1))
         every = [rays for rays, _ in photos]
         found = self._fitted(every, starts, _good_count(len(alike)), report)
         shared = {
             "easting_m": np.mean([one.easting_m for one in found], axis=0),
             "northing_m": np.mean([one.northing_m for one in found], axis=0),
-            "cost": _total(found),
+            "cost": _joint_cost(found),
         }
         joint = [replace(one, **shared) for one in found]
         chosen = joint[0].suppress_non_maxima(count, _EFFORT.separation_m)
@@ -372,7 +381,7 @@ class Retriever:
         fovs_deg = rays.searched_fov_deg(log_scales)
         return Screen(rays, fovs_deg, self._sample, prior.open_turns, penalty, coarse=coarse)
 
-    def _start(
+    def _starts(
         self, rays: Rays, prior: Prior, alike: Alike, count: int, turns: int = _EFFORT.turns
     ) -> Starts:
         """Return up to ``count`` starts of fits, the best ones.
@@ -383,7 +392,7 @@ class Retriever:
         screen = self._screen(rays, prior, log_scales)
         found = self._of_each(
             alike.row,
-            lambda shard, _, mine: shard.best_turns(screen, mine, turns),
+            lambda shard, _, own: shard.best_turns(screen, own, turns),
             Turns.concatenate,
         )
         score = found.score.ravel()
@@ -416,19 +425,19 @@ class Retriever:
         )
 
     def _nearest(self, poses: Poses, count: int) -> Neighbours:
-        """Return the ``count`` places of each pose's area that are nearest to it."""
+        """Return the ``count`` places of each pose's area nearest to it."""
         place_m = np.stack([poses.easting_m, poses.northing_m], axis=1)
         row = np.zeros((len(poses), count), dtype=np.intp)
         distance_m = np.full(row.shape, np.inf)
 
         def nearest(number: int, mine: IntArray) -> Neighbours:
             found = self._shards[number].nearest(place_m[mine], count)
-            return replace(found, row=found.row + self._first[number])
+            return replace(found, row=found.row + self._first_row[number])
 
         areas = poses.areas()
         for area in np.unique(areas):
             mine = np.flatnonzero(areas == area)
-            shards = np.flatnonzero(self._area == area).tolist()
+            shards = np.flatnonzero(self._area_of_shard == area).tolist()
             parts = list(self._asked(partial(nearest, number, mine) for number in shards))
             rows = np.concatenate([part.row for part in parts], axis=1)
             distances_m = np.concatenate([part.distance_m for part in parts], axis=1)
@@ -444,7 +453,7 @@ class Retriever:
         count: int,
         report: StepProgress,
     ) -> list[Poses]:
-        """Return the photos' poses fitted well from the ``count`` most promising starts."""
+        """Return the photos' poses fitted from the ``count`` most promising starts."""
         return [
             self._fits(rays, start, GOOD_FIT, report)
             for rays, start in zip(
@@ -459,14 +468,17 @@ class Retriever:
         count: int,
         report: StepProgress,
     ) -> Sequence[Starts]:
-        """Return the photos' ``count`` common starts whose rough fits are best, in order."""
+        """Return the photos' ``count`` common starts with the best rough fits.
+
+        They keep their order.
+        """
         if count >= len(starts[0]):
             return starts
         rough = [
             self._fits(rays, start, ROUGH_FIT, report)
             for rays, start in zip(photos, starts, strict=True)
         ]
-        best = np.sort(np.argsort(_total(rough), kind="stable")[:count])
+        best = np.sort(np.argsort(_joint_cost(rough), kind="stable")[:count])
         return [start[best] for start in starts]
 
     def _fits(self, rays: Rays, starts: Starts, effort: FitEffort, report: StepProgress) -> Poses:
@@ -481,7 +493,7 @@ class Retriever:
         poses = self._of_each(starts.row, fitted, Poses.concatenate)
         if len(self._frames) < 2:
             return poses
-        return poses.found_in(self._area[self._shard_of(starts.row)], self._frames)
+        return poses.found_in(self._area_of_shard[self._shard_of(starts.row)], self._frames)
 
 
 def _report_part(report: StepProgress, done: float, share: float, step: str, part: float) -> None:
@@ -490,7 +502,7 @@ def _report_part(report: StepProgress, done: float, share: float, step: str, par
 
 
 def _distinct(poses: Poses, count: int) -> IntArray:
-    """Return the indices of up to ``count`` poses that differ from one another, best first."""
+    """Return the indices of up to ``count`` distinct poses, best first."""
     return poses.suppress_non_maxima(count, _EFFORT.separation_m, _EFFORT.same_turn_deg)
 
 
@@ -500,10 +512,10 @@ def _good_count(rough: int) -> int:
     return min(max(share, _EFFORT.good_least), _EFFORT.good_most)
 
 
-def _total(found: Sequence[Poses]) -> Float64Array:
+def _joint_cost(found: Sequence[Poses]) -> Float64Array:
     """Return the sum of photos' costs at the same places.
 
-    No cost counts for more than its photo's median.
+    Of several photos, no cost counts for more than its photo's median.
     """
     if len(found) == 1:
         return found[0].cost

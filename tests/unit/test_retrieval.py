@@ -202,7 +202,12 @@ def test_fits_climb_to_places_beside_that_screening_passed_over(places, monkeypa
     """Screening passes two places on. Beside the better one are three to the west and three to the
     east."""
     few = replace(
-        retrieval._EFFORT, first=1, rough_least=2, rough_most=2, good_least=2, screened_again=20
+        retrieval._EFFORT,
+        first_places=1,
+        last_least=2,
+        last_most=2,
+        good_least=2,
+        screened_again=20,
     )
     monkeypatch.setattr(retrieval, "_EFFORT", few)
     # The coarse screen compares this place at odd turns, and the heading is one.
