@@ -37,8 +37,12 @@ MOST_DISTORTION = 0.3
 WANDER_DEGREES = range(2, 6)
 """Degrees of the Legendre polynomials that describe how a panorama's rows wander."""
 _NEWTON_STEPS = 30
+"""Most steps by which `distorted` inverts a distortion. Five are enough, except near the radius at
+which a negative distortion folds the image."""
 _NEWTON_ERROR = 1e-9
+"""Greatest error of such an inverse, in half widths."""
 _NO_ANGLE = 1e-12
+"""Replaces the angle 0 off a fisheye's axis, by which nothing can be divided."""
 _LEAST_FORWARD = np.float32(0.05)
 """`ImagePoints.levelled` moves rays of a lens that point less far forward to this value."""
 _BACKMOST_RAD = np.radians(170.0)
@@ -128,21 +132,17 @@ class Projection(StrEnum):
         fov_deg : float
             Horizontal field of view.
         """
-        half = np.radians(fov_deg) / 2.0
-        if self is Projection.PERSPECTIVE:
-            return across * np.tan(half), above * np.tan(half)
-        up = np.tan(above * half) if self is Projection.EQUIRECTANGULAR else above * half
-        return across * half, up
+        half_width = self.half_width(fov_deg)
+        v = above * half_width
+        return across * half_width, np.tan(v) if self is Projection.EQUIRECTANGULAR else v
 
     def places(
         self, u: Float64Array, v: Float64Array, fov_deg: float
     ) -> tuple[Float64Array, Float64Array]:
         """Return across and above of an image's points; the inverse of `rays`."""
-        half = np.radians(fov_deg) / 2.0
-        if self is Projection.PERSPECTIVE:
-            return u / np.tan(half), v / np.tan(half)
-        above = np.arctan(v) if self is Projection.EQUIRECTANGULAR else v
-        return u / half, above / half
+        half_width = self.half_width(fov_deg)
+        even = np.arctan(v) if self is Projection.EQUIRECTANGULAR else v
+        return u / half_width, even / half_width
 
     def half_width(self, fov_deg: Any) -> Any:
         """Return half the width of an image of unit focal length."""
@@ -157,9 +157,12 @@ class Projection(StrEnum):
     def column_deg(self, width: int, fov_deg: float) -> Float64Array:
         """Return the degrees of azimuth (width,) that each of ``width`` columns spans."""
         edges = np.linspace(-1.0, 1.0, width + 1)
-        u, _ = self.rays(edges, np.zeros_like(edges), fov_deg)
-        azimuth = u if self.spreads_angles else np.arctan(u)
-        return np.asarray(np.degrees(np.diff(azimuth)), dtype=np.float64)
+        azimuth_rad = self.azimuth_rad(edges * self.half_width(fov_deg))
+        return np.asarray(np.degrees(np.diff(azimuth_rad)), dtype=np.float64)
+
+    def azimuth_rad(self, u: Float64Array) -> Float64Array:
+        """Return the azimuths at which a level camera sees points of its horizon."""
+        return u if self.spreads_angles else np.arctan(u)
 
 
 def from_middle(
@@ -189,7 +192,7 @@ def in_picture(
         return np.asarray(inside & (row >= -edge_px) & (row <= height_px - 1.0 + edge_px))
 
 
-def wander_of(across: Float64Array) -> Float64Array:
+def wander_ways(across: Float64Array) -> Float64Array:
     """Return the ways in which a panorama's rows may wander.
 
     A panorama is joined from many exposures, and its horizon is seldom straight. Each of the four
@@ -202,7 +205,7 @@ def wander_of(across: Float64Array) -> Float64Array:
 def wandered(across: Float64Array, wander: Sequence[float]) -> Float64Array:
     """Return how far a panorama's rows have wandered up, as tangents.
 
-    ``wander`` has a factor for each way of `wander_of`.
+    ``wander`` has a factor for each of `wander_ways`.
     """
     return np.asarray(legendre.legval(across, (0.0,) * WANDER_DEGREES[0] + tuple(wander)))
 
@@ -295,7 +298,7 @@ def level_axes(
 
 
 def _held(right: Any, up: Any, forward: Any, pitch: Any, roll: Any) -> tuple[Any, Any, Any]:
-    """Return the ray of a pitched and rolled camera in a level frame.
+    """Return a pitched and rolled camera's ray in a level frame.
 
     Both the ray given, in the camera's own frame, and the result are right, up and forward.
     """
@@ -308,7 +311,7 @@ def _held(right: Any, up: Any, forward: Any, pitch: Any, roll: Any) -> tuple[Any
 
 
 def _ray(u: Any, v: Any, projection: Projection) -> tuple[Any, Any, Any]:
-    """Return a lens's or fisheye's ray in its frame: right, up and forward."""
+    """Return the ray of a lens in its frame: right, up and forward."""
     if projection is Projection.PERSPECTIVE:
         return u, v, 1.0
     off_axis = np.hypot(u, v)
@@ -395,7 +398,7 @@ def _panorama_with_changes(
     u: Float64Array,
     v: Float64Array,
     v_change: Float64Array,
-    wander: Float64Array,
+    ways: Float64Array,
     pitch: Float64Array,
     roll: Float64Array,
     projection: Projection,
@@ -403,7 +406,7 @@ def _panorama_with_changes(
     """Return `level_axes` of a panorama, with derivatives.
 
     The derivatives of each axis are (M, R, 3 + K): by pitch, roll, log scale and warps.
-    ``v_change`` (M, R) and ``wander`` (M, R, K) are the derivatives of v by log scale and warps.
+    ``v_change`` (M, R) and ``ways`` (M, R, K) are the derivatives of v by log scale and warps.
     """
     raised, _ = _raised(v, np.tan(pitch), projection)
     if projection is Projection.EQUIRECTANGULAR:
@@ -414,7 +417,7 @@ def _panorama_with_changes(
         by_v = np.ones_like(v)
     # Pitch, scale and warps move a ray up the image; scale moves it across, too.
     lifts = [by_pitch, np.zeros_like(v), by_v * v_change]
-    lifted = np.concatenate([np.stack(lifts, axis=-1), by_v[..., np.newaxis] * wander], axis=-1)
+    lifted = np.concatenate([np.stack(lifts, axis=-1), by_v[..., np.newaxis] * ways], axis=-1)
     right, up, forward = axes = level_axes(u, raised, 0.0, roll, projection)
     right_change, up_change = (
         lifted * turned[..., np.newaxis] for turned in (np.sin(roll), np.cos(roll))
@@ -482,19 +485,16 @@ class ImagePoints:
 
     @property
     def reach(self) -> Float64Array:
-        """Share (R,) by which a distortion of 1 moves points outwards.
-
-        It is the squared distance from the image's middle, in half widths; see `undistorted`.
-        """
+        """Share (R,) by which a distortion of 1 moves points outwards; see `undistorted`."""
         square = (self.u**2 + self.v**2) / self.half_width**2
         return np.asarray(square - _fixed_at(self.projection))
 
     @property
-    def wander(self) -> Float64Array:
-        """Ways (R, 4) in which a panorama's rows wander."""
+    def wander_ways(self) -> Float64Array:
+        """`wander_ways` (R, 4) at the points of a panorama; none (R, 0) for a lens."""
         if not self.is_panorama:
             return np.zeros((len(self.u), 0))
-        return wander_of(self.u / self.half_width)
+        return wander_ways(self.u / self.half_width)
 
     def log_scale(self, fov_deg: Float64Array | float) -> Float64Array:
         """Return the logarithm of the scale that gives a field of view.
@@ -548,7 +548,7 @@ class ImagePoints:
         """Return directions at M attitudes, scales and warps (M, K), with derivatives.
 
         The warp is the distortion of a lens, K = 1, or none, K = 0; for a panorama, the factors of
-        `wander`, K = 4.
+        `wander_ways`, K = 4.
 
         Returns
         -------
@@ -561,13 +561,13 @@ class ImagePoints:
         u, v = self.scaled(scale)
         attitude = pitch_rad[:, np.newaxis], roll_rad[:, np.newaxis]
         if self.is_panorama:
-            wander = scale[..., np.newaxis] * self.wander
+            ways = scale[..., np.newaxis] * self.wander_ways
             grown = v
             if self.projection is Projection.EQUIRECTANGULAR:
                 grown = np.arctan(self.v) * scale * (1.0 + np.square(v))
-            wandered = (wander @ warp[..., np.newaxis])[..., 0]
+            lift = (ways @ warp[..., np.newaxis])[..., 0]
             (right, up, forward), changes = _panorama_with_changes(
-                u, v + wandered, grown + wandered, wander, *attitude, self.projection
+                u, v + lift, grown + lift, ways, *attitude, self.projection
             )
         else:
             stretch: Any = 1.0

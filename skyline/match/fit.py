@@ -25,8 +25,8 @@ from skyline.store.places import BINS, Places
 
 _HEADING, _PITCH, _ROLL, _LOG_SCALE, _EAST, _NORTH, _WANDER = range(7)
 """Columns of a fitted state: heading from grid north, pitch and roll, radians; `Rays.log_scale`;
-metres east and north of the stored place. A panorama has the factors of its `Rays.wander` from
-`_WANDER` on; a lens has no such columns."""
+metres east and north of the stored place. From `_WANDER` on, a panorama has the factors of its
+`Rays.wander_ways`; a lens has no such columns."""
 _MOVE = slice(_EAST, _WANDER)
 _LONGEST_STEP = np.array([*np.radians([3.0, 4.0, 3.0]), 0.04, 1.25, 1.25], dtype=np.float32)
 """Longest step of a round; moves in standard deviations of the place. The wander of a panorama's
@@ -112,7 +112,7 @@ class CurveFit:
         nearness = 1.0 / places.distance_m()
         self._nearness = _closed(np.where(np.isfinite(nearness), nearness, np.float32(0.0)))
         self._deviation_m = (places.tolerance_m / np.float32(np.sqrt(3.0)))[:, np.newaxis]
-        self._wander = rays.wander.astype(np.float32)
+        self._wander_ways = rays.wander_ways.astype(np.float32)
         self._prior = self._inverse_variances()
 
     def fit(self, grid_heading_rad: Float64Array, log_scale: Float64Array) -> Poses:
@@ -132,6 +132,7 @@ class CurveFit:
         return self._poses(state.astype(np.float64), cost.astype(np.float64))
 
     def _poses(self, state: Float64Array, cost: Float64Array) -> Poses:
+        """Return states as poses."""
         move = state[:, _MOVE]
         return Poses(
             easting_m=self._places.easting_m + move[:, 0],
@@ -145,7 +146,10 @@ class CurveFit:
         )
 
     def _misses(self, state: Float32Array) -> _Misses:
-        lift = state[:, _WANDER:] @ self._wander.T if self._rays.is_panorama else np.float32(0.0)
+        """Return how far the rays of states miss the places' skylines."""
+        lift: Float32Array | np.float32 = np.float32(0.0)
+        if self._rays.is_panorama:
+            lift = state[:, _WANDER:] @ self._wander_ways.T
         pitch, roll, log_scale = (state[:, k, np.newaxis] for k in (_PITCH, _ROLL, _LOG_SCALE))
         azimuth, tangent = self._rays.levelled(pitch, roll, log_scale, lift)
         toward = azimuth + state[:, :1]
@@ -161,8 +165,8 @@ class CurveFit:
         turned = near_level_changes(azimuth, tangent, slope, self._rays.projection)
         change = np.stack([-slope, *turned, -east, -north], axis=1)
         if self._rays.is_panorama:
-            wander = np.tile(self._wander.T, (len(state), 1, 1))
-            change = np.concatenate([change, wander], axis=1)
+            by_wander = np.tile(self._wander_ways.T, (len(state), 1, 1))
+            change = np.concatenate([change, by_wander], axis=1)
         return _Misses(np.where(known, miss, np.float32(0.0)), change, nearness, known)
 
     def _skyline_at(self, azimuth: Float32Array) -> tuple[Float32Array, Float32Array, Float32Array]:
@@ -215,9 +219,9 @@ class CurveFit:
     def _inverse_variances(self) -> Float32Array:
         """Return the prior inverse variances (M, P) of states.
 
-        The lens has none here, since its inverse variance depends on the state.
+        The lens's is 0 here, since it depends on the state.
         """
-        columns = _WANDER + self._wander.shape[1]
+        columns = _WANDER + self._wander_ways.shape[1]
         prior = np.zeros((len(self._places), columns), dtype=np.float32)
         prior[:, _PITCH] = np.radians(_ERRORS.pitch_sd_deg) ** -2.0
         prior[:, _ROLL] = np.radians(_ERRORS.roll_sd_deg) ** -2.0
@@ -242,7 +246,7 @@ class CurveFit:
         """Return states less a bounded step, within the bounds of states."""
         limit = np.tile(_LONGEST_STEP, (len(state), 1))
         limit[:, _MOVE] *= self._deviation_m
-        wander = np.repeat(limit[:, _PITCH, np.newaxis], self._wander.shape[1], axis=1)
+        wander = np.repeat(limit[:, _PITCH, np.newaxis], self._wander_ways.shape[1], axis=1)
         limit = np.concatenate([limit, wander], axis=1)
         state = state - np.clip(step, -limit, limit)
         state[:, _LOG_SCALE] = np.clip(state[:, _LOG_SCALE], *self._rays.log_scale_bounds)
@@ -251,6 +255,7 @@ class CurveFit:
         return state
 
     def _cost(self, state: Float32Array, misses: _Misses) -> Float32Array:
+        """Return the costs (M,) of states; see `fit`."""
         error = self._photo_error(state)
         off = np.minimum(np.abs(misses.tangent) / error[:, np.newaxis], np.float32(_ERRORS.most))
         off = np.where(misses.known, off, np.float32(_ERRORS.unknown))
@@ -261,5 +266,5 @@ class CurveFit:
 
 
 def _closed(curve: FloatArray) -> FloatArray:
-    """Return curves (M, B) all the way round, followed by their first values."""
+    """Return curves (M, B) all the way round with their first values repeated."""
     return np.concatenate([curve, curve[:, :1]], axis=1)

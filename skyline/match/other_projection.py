@@ -28,7 +28,7 @@ from skyline.arrays import Float64Array
 from skyline.camera import MAX_FISHEYE_DEG, MAX_PANORAMA_DEG, Projection
 from skyline.match.lens_prior import LensPrior
 from skyline.match.likelihood import GREATEST_LOG_ODDS
-from skyline.match.rays import Rays, in_runs, usual_distortion
+from skyline.match.rays import Rays, in_runs, usual_distortion_sd
 from skyline.match.refine import Refinement
 from skyline.match.solver import ROUGH, TEMPERATURE, Fit
 from skyline.pose import Poses
@@ -194,7 +194,7 @@ def _fisheye(columns: Rays) -> Rays:
         fov_deg=fov_deg,
         fov_range_deg=_range_deg(fov_deg, MAX_FISHEYE_DEG),
         projection=Projection.FISHEYE,
-        distortion_sd=usual_distortion(Projection.FISHEYE, fov_deg),
+        distortion_sd=usual_distortion_sd(Projection.FISHEYE, fov_deg),
     )
 
 

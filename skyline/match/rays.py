@@ -61,8 +61,7 @@ class Rays(ImagePoints):
     """How likely the fields of view in that range are."""
     distortion_sd: float = 0.0
     """Standard deviation of the lens's distortion about 0; 0 for a panorama, and for a lens without
-    distortion. A distortion k moves a ray outwards by k times its `reach`; see
-    `skyline.camera.undistorted`."""
+    distortion. See `skyline.camera.undistorted`."""
 
     @classmethod
     def of(cls, photo: PhotoSkyline, fov_sd_share: float, *, finds_fov: bool) -> "Rays":
@@ -72,36 +71,32 @@ class Rays(ImagePoints):
         photo's `Lens` has none. Raises `InputError` for a photo of unknown field of view, unless
         the matcher finds it, and for a panorama or a fisheye of unknown field of view.
         """
-        weight = photo.trust[photo.trusted]
-        if photo.fov_deg is not None:
-            fov_deg = photo.fov_deg
-            lens = photo.lens or Lens(photo.fov_deg)
-            u, v = photo.image_plane()
-            rays = cls(
-                u=u,
-                v=v,
-                weight=weight,
-                fov_deg=fov_deg,
-                projection=photo.projection,
-                distortion_sd=usual_distortion(photo.projection, fov_deg),
-            )
-            is_whole = photo.projection.is_panorama and fov_deg == photo.projection.most_fov_deg
-            share = 0.0 if is_whole else fov_sd_share
-            fov_sd_deg = share * fov_deg if lens.fov_sd_deg is None else lens.fov_sd_deg
-            return rays.about(fov_sd_deg, lens.most_fov_deg or math.inf, lens.crop_share)
-        if finds_fov and photo.projection is Projection.PERSPECTIVE:
-            fov_deg, fov_sd_deg = USUAL_FOV_DEG
-            u, v = photo.with_fov(fov_deg).image_plane()
-            usual = cls(
-                u=u,
-                v=v,
-                weight=weight,
-                fov_deg=fov_deg,
-                distortion_sd=usual_distortion(photo.projection, fov_deg),
-            )
+        if photo.fov_deg is None:
+            if not finds_fov or photo.projection is not Projection.PERSPECTIVE:
+                raise InputError(
+                    "the photo's field of view is not known: it is not in the image; give --fov-deg"
+                )
+            usual_deg, fov_sd_deg = USUAL_FOV_DEG
+            usual = cls._with_known_fov(photo, usual_deg)
             return replace(usual.about(fov_sd_deg), fov_range_deg=FOV_RANGE_DEG)
-        raise InputError(
-            "the photo's field of view is not known: it is not in the image; give --fov-deg"
+        lens = photo.lens or Lens(photo.fov_deg)
+        is_whole = photo.projection.is_panorama and photo.fov_deg == photo.projection.most_fov_deg
+        share = 0.0 if is_whole else fov_sd_share
+        fov_sd_deg = share * photo.fov_deg if lens.fov_sd_deg is None else lens.fov_sd_deg
+        rays = cls._with_known_fov(photo, photo.fov_deg)
+        return rays.about(fov_sd_deg, lens.most_fov_deg or math.inf, lens.crop_share)
+
+    @classmethod
+    def _with_known_fov(cls, photo: PhotoSkyline, fov_deg: float) -> "Rays":
+        """Return a photo's rays with exactly this field of view."""
+        u, v = photo.with_fov(fov_deg).image_plane()
+        return cls(
+            u=u,
+            v=v,
+            weight=photo.trust[photo.trusted],
+            fov_deg=fov_deg,
+            projection=photo.projection,
+            distortion_sd=usual_distortion_sd(photo.projection, fov_deg),
         )
 
     def __post_init__(self) -> None:
@@ -128,7 +123,7 @@ class Rays(ImagePoints):
         """Standard deviations (K,) of how an image may be warped.
 
         There is one for the distortion of a lens that may distort, and one for each column of a
-        panorama's `wander`.
+        panorama's `wander_ways`.
         """
         if self.is_panorama:
             grown = math.sqrt(self.fov_deg / _CAMERAS.wander_fov_deg)
@@ -144,7 +139,7 @@ class Rays(ImagePoints):
     def about(
         self, fov_sd_deg: float, most_deg: float = math.inf, crop_share: float = 0.0
     ) -> "Rays":
-        """Return the rays with a field of view known to a standard deviation.
+        """Return the rays with a standard deviation of the field of view.
 
         The search reaches four standard deviations to either side, but not beyond what a camera
         allows or ``most_deg``, nor below half the field of view. If ``crop_share``, the probability
@@ -170,8 +165,8 @@ class Rays(ImagePoints):
         )
 
 
-def usual_distortion(projection: Projection, fov_deg: float) -> float:
-    """Return the standard deviation of a distortion, see `skyline.camera.undistorted`."""
+def usual_distortion_sd(projection: Projection, fov_deg: float) -> float:
+    """Return the standard deviation of a distortion about 0, which is usual."""
     if projection.is_panorama:
         return 0.0
     if projection is Projection.FISHEYE:
@@ -188,8 +183,8 @@ def thinned(rays: Rays, bins: int) -> Rays:
     averages run from left to right. The weight of an average is the mean weight of its rays, so
     weights refer to the noise of averages.
     """
-    azimuth = rays.u if rays.projection.spreads_angles else np.arctan(rays.u)
-    step = np.floor(azimuth * (bins / (2.0 * np.pi))).astype(np.intp)
+    azimuth_rad = rays.projection.azimuth_rad(rays.u)
+    step = np.floor(azimuth_rad * (bins / (2.0 * np.pi))).astype(np.intp)
     step -= step.min()
     total = np.bincount(step, rays.weight)
     kept = np.flatnonzero(total)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from ray_scenes import hills, panorama_of, poses, rays_of, seen, swept
 
-from skyline.camera import Projection, distorted, wander_of
+from skyline.camera import Projection, distorted, wander_ways
 from skyline.geodesy.earth import Curvature
 from skyline.match.eye_prior import EyeHeightPrior
 from skyline.match.lens_prior import LensPrior
@@ -90,7 +90,7 @@ def test_a_wide_lens_finds_its_distortion():
 def test_a_panorama_whose_rows_wander_finds_its_heading():
     wander = np.radians([1.2, -0.5, 0.3, 0.2])
     rays = swept(hills, *SWEPT)
-    rays = replace(rays, v=rays.v - wander_of(np.linspace(-1.0, 1.0, len(rays.u))) @ wander)
+    rays = replace(rays, v=rays.v - wander_ways(np.linspace(-1.0, 1.0, len(rays.u))) @ wander)
     solver = Solver(rays, LONG, EYE, HEIGHT_SD_M)
     curves = curves_of(*panorama_of(hills))
     start = poses(grid_heading_deg=203.0, fov_deg=SWEPT[2])
