@@ -18,15 +18,14 @@ from skyline.arrays import BoolArray, Float64Array
 from skyline.camera import MIN_FOV_DEG, MOST_DISTORTION, Camera
 from skyline.errors import InputError, OffMapError, printable
 from skyline.ground import GroundErrors
-from skyline.match.config import MatchConfig
 from skyline.match.rays import Rays
-from skyline.match.solver import SolverPriors
 from skyline.orientation import RIGHT_DEG
 from skyline.photo.skyline import PhotoSkyline
 from skyline.point_files import ControlPoints
 from skyline.pose import Pose
 from skyline.pose_errors import (
     ANGLES,
+    ASSUMED,
     EAST,
     HEADING,
     LOG_SCALE,
@@ -180,12 +179,12 @@ class KnownCamera:
         rays = _rays_of(photo)
         about_deg, slack_deg = heading_deg or (0.0, math.inf)
         pose = viewer.pose(lon=lon, lat=lat, heading_deg=about_deg, fov_deg=rays.fov_deg)
-        priors = SolverPriors()
         sds = np.concatenate([np.full(WARP, np.inf), rays.warp_sd])
         sds[[EAST, NORTH]] = position_sd_m
         # An even distribution up to the greatest error has this deviation.
         sds[HEADING] = math.radians(slack_deg) / math.sqrt(3.0)
-        sds[PITCH], sds[ROLL] = priors.pitch_sd_rad, priors.roll_sd_rad
+        sds[PITCH] = math.radians(ASSUMED.level_pitch_sd_deg)
+        sds[ROLL] = math.radians(ASSUMED.level_roll_sd_deg)
         # A field of view that is known exactly has no range.
         sds[LOG_SCALE] = rays.lens.rms if rays.fov_range_deg else 1e-6
         if elevation_m is not None:
@@ -204,7 +203,7 @@ def _rays_of(photo: PhotoSkyline) -> Rays:
     """Return rays with what is known of a photo's lens."""
     middle = np.full(photo.width_px, photo.height_px / 2.0)
     whole = replace(photo, row_px=middle, trust=np.ones(photo.width_px), crests=None)
-    return Rays.of(whole, MatchConfig().fov_sd_share, finds_fov=True)
+    return Rays.of(whole, ASSUMED.fov_sd_share, finds_fov=True)
 
 
 def fit_points(

@@ -28,7 +28,6 @@ from skyline.angles import angle_between_deg
 from skyline.arrays import Float64Array, refuse_text
 from skyline.errors import InputError, printable
 from skyline.match import confidence
-from skyline.match.config import MatchConfig
 from skyline.match.eye_prior import EyeHeightPrior, KnownGround, Standing
 from skyline.match.narrowing import Narrowing
 from skyline.match.noted_errors import noted_position_sd_m
@@ -49,7 +48,7 @@ from skyline.photo.noted_place import NotedPlace
 from skyline.photo.read import named_skyline
 from skyline.photo.skyline import PhotoSkyline
 from skyline.pose import Pose, Poses
-from skyline.pose_errors import ANGLES
+from skyline.pose_errors import ANGLES, ASSUMED
 from skyline.render.context import Closeable
 from skyline.render.horizon import PanoramaRenderer, RenderConfig, RenderedScene
 from skyline.store.places import BINS, Places
@@ -281,7 +280,7 @@ class Orienter(Closeable):
         refusal = too_little(skyline)
         if refusal is not None:
             return Orientation(skyline, None, refusal=refusal)
-        rays = Rays.of(skyline, MatchConfig().fov_sd_share, finds_fov=True)
+        rays = Rays.of(skyline, ASSUMED.fov_sd_share, finds_fov=True)
         poses = self._refined(rays, skyline, narrowing)
         return self._orientation(skyline, rays, poses, narrowing)
 

@@ -222,10 +222,10 @@ class Pose:
         """
         return self.distance_m(other) <= within_m and self.turn_deg(other) <= SAME_VIEW_DEG
 
-    def less_sure(self, share: float) -> "Pose":
-        """Return the pose with its confidences times a share."""
+    def times_as_sure(self, factor: float) -> "Pose":
+        """Return the pose with its confidences times a factor, at most 1."""
         near, roughly = (
-            None if sure is None else share * sure
+            None if sure is None else min(1.0, factor * sure)
             for sure in (self.confidence, self.confidence_1km)
         )
         return replace(self, confidence=near, confidence_1km=roughly)
@@ -441,7 +441,7 @@ class Poses(Rows):
         return replace(self, in_areas=PoseAreas(area, geocentric_m))
 
     def on_map(self, *frames: Frame) -> tuple[Pose, ...]:
-        """Return the poses on the map, ranked in the order that they have.
+        """Return the poses on the map, ranked in their order.
 
         ``frames`` are the frames of the areas, in order.
         """

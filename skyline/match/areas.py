@@ -1,4 +1,4 @@
-"""The areas that a matcher searches: stores and terrain of one DEM each."""
+"""The areas that a matcher searches, each of one DEM."""
 
 import logging
 from collections.abc import Iterable, Sequence

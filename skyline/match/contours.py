@@ -28,7 +28,7 @@ within limits: right places have more than :math:`z_0`, wrong ones less.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from statistics import NormalDist
 
 import cv2
@@ -185,20 +185,12 @@ def weighed_by_contours(
     factor = float(np.average(factors, weights=weights))
     before = best.confidence_1km
     after = before * factor / (before * factor + 1.0 - before)
-    return tuple(_shared(one, best, before, after) for one in candidates)
-
-
-def _shared(one: Pose, best: Pose, before: float, after: float) -> Pose:
-    """Return a pose with its share of the new probabilities."""
-    if one.is_same_answer(best, ROUGHLY_WITHIN_M):
-        share = after / before if before > 0.0 else 1.0
-    else:
-        share = (1.0 - after) / (1.0 - before) if before < 1.0 else 1.0
-    near, roughly = (
-        None if sure is None else min(1.0, share * sure)
-        for sure in (one.confidence, one.confidence_1km)
+    own = after / before if before > 0.0 else 1.0
+    others = (1.0 - after) / (1.0 - before) if before < 1.0 else 1.0
+    return tuple(
+        one.times_as_sure(own if one.is_same_answer(best, ROUGHLY_WITHIN_M) else others)
+        for one in candidates
     )
-    return replace(one, confidence=near, confidence_1km=roughly)
 
 
 def _factor(deviations: float | None) -> float:

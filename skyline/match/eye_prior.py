@@ -105,26 +105,28 @@ class Standing:
         heights = _noted_heights(noted, ground)
         if not heights:
             return [on_ground]
-        flying = _ALOFT.share if noted.takeoff_height_m is None else _ALOFT.drone_share
-        peak = (1.0 - flying) / (math.pi * ground.height_sd_m)
-        cost = sum(one.cost(DEFAULT_EYE_HEIGHT_M) for one in heights) - math.log(peak)
-        found = [replace(on_ground, cost=cost)]
+
+        def cost(above_m: float, density: float) -> float:
+            return sum(one.cost(above_m) for one in heights) - math.log(density)
+
+        aloft = _ALOFT.share if noted.takeoff_height_m is None else _ALOFT.drone_share
+        peak = (1.0 - aloft) / (math.pi * ground.height_sd_m)
+        found = [replace(on_ground, cost=cost(DEFAULT_EYE_HEIGHT_M, peak))]
         for height in sorted(heights, key=lambda one: one.sd_m):
             above_m = height.above_m
             if above_m - DEFAULT_EYE_HEIGHT_M <= _ALOFT.least_sds * ground.height_sd_m:
                 continue
             if any(abs(above_m - other.eye.usual_m) <= height.sd_m for other in found[1:]):
                 continue
-            density = (
-                flying
-                * 2.0
-                / (math.pi * _ALOFT.median_m)
-                / (1.0 + (above_m / _ALOFT.median_m) ** 2)
-            )
-            cost = sum(one.cost(above_m) for one in heights) - math.log(density)
             eye = EyeHeightPrior(above_m, max(height.sd_m, ground.height_sd_m))
-            elevation_m = ground.elevation_m + above_m
-            found.append(cls(eye, elevation_m, height.elevation_sd_m, cost))
+            found.append(
+                cls(
+                    eye,
+                    elevation_m=ground.elevation_m + above_m,
+                    elevation_sd_m=height.elevation_sd_m,
+                    cost=cost(above_m, _density_aloft(aloft, above_m)),
+                )
+            )
         return found
 
 
@@ -147,7 +149,13 @@ class _NotedHeight:
         return NOTED_ERRORS.altitude_tail * math.log1p(off**2) + math.log(2.0 * self.sd_m)
 
 
+def _density_aloft(share: float, above_m: float) -> float:
+    """Return the density of a height above the ground, of a share of eyes aloft."""
+    return share * 2.0 / (math.pi * _ALOFT.median_m) / (1.0 + (above_m / _ALOFT.median_m) ** 2)
+
+
 def _noted_heights(noted: NotedPlace, ground: KnownGround) -> list[_NotedHeight]:
+    """Return the heights above the known ground that a photo notes."""
     found = []
     if noted.takeoff_height_m is not None:
         drift_m = NOTED_ERRORS.takeoff_share * abs(noted.takeoff_height_m)

@@ -358,13 +358,13 @@ def _raised(
 def _beyond_share(
     trust: Float64Array, hidden: Float64Array, density: Float64Array, seen: Float64Array
 ) -> Float64Array:
-    """Return the share (M, 1) of open columns in which terrain past the edge rises.
+    """Return in what share (M, 1) of columns terrain past the edge rises.
 
-    It is the likeliest share of at most `ErrorModel.beyond_share`. If each column had that prior
-    by itself, a right pose that looks across the edge at nothing higher would seem unlikely.
-    ``trust`` (M, R) is 0 where no such terrain may rise. In a column it rises with the probability
-    ``hidden`` times the share, and with ``density`` times the share; ``seen`` is the density
-    without it.
+    Only the columns where it may rise count; in all others ``trust`` (M, R) is 0. The share is the
+    likeliest one of at most `ErrorModel.beyond_share`. If each column had that prior by itself, a
+    right pose that looks across the edge at nothing higher would seem unlikely. The terrain hides
+    the model's skyline in a column with the share times the probability ``hidden``. The residual
+    then has the share times ``density``, and the density ``seen`` otherwise.
     """
     count = np.maximum(trust.sum(axis=1, keepdims=True), 1e-12)
     share = np.full_like(count, _MODEL.beyond_share)

@@ -389,8 +389,8 @@ class Matcher(Closeable):
             else MatchResult(photo.skyline, (), seconds, photo.refusal or apart, name=photo.name)
             for number, photo in enumerate(read)
         )
-        known = tuple(narrowing or Narrowing() for narrowing in narrowings or [None] * len(read))
-        return JointResult(results, seconds, verdict.refusal, known)
+        given = tuple(narrowing or Narrowing() for narrowing in narrowings or [None] * len(read))
+        return JointResult(results, seconds, verdict.refusal, given)
 
     def posterior(
         self, result: MatchResult | JointResult, report_progress: StepProgress = silent
@@ -583,9 +583,12 @@ class Matcher(Closeable):
         if skyline.projection.spreads_angles and skyline.fov_deg is None:
             skyline = about_start  # No search finds a panorama's or a fisheye's field of view.
         rays, prior = self._rays_and_prior(skyline, narrowing)
-        rays_about_start, _ = self._rays_and_prior(about_start, None)
-        poses = self._method.fitted(rays, start, prior, rays_about_start)
+        poses = self._method.fitted(rays, start, prior, self._rays(about_start))
         return next(iter(self._on_map(poses)), None)
+
+    def _rays(self, skyline: PhotoSkyline) -> Rays:
+        """Return a photo's rays; raises `InputError` if the matcher needs its lens."""
+        return Rays.of(skyline, self._config.fov_sd_share, finds_fov=self._method.finds_fov)
 
     def _rays_and_prior(
         self, skyline: PhotoSkyline, narrowing: Narrowing | None
@@ -595,7 +598,7 @@ class Matcher(Closeable):
         Raises `InputError` for a narrowing if the matcher takes no prior.
         """
         narrowing = _instance("narrowing", narrowing or Narrowing(), Narrowing)
-        rays = Rays.of(skyline, self._config.fov_sd_share, finds_fov=self._method.finds_fov)
+        rays = self._rays(skyline)
         if not self._method.takes_prior:
             if narrowing != Narrowing():
                 raise InputError(
@@ -679,8 +682,8 @@ def _surest(searches: Sequence[_Search]) -> _Search:
         for found in searches
         if found.best and not found.best.is_same_answer(surest.best, ROUGHLY_WITHIN_M)
     ]
-    share = beside_rivals(surest.confidence, rivals) / surest.confidence
-    return replace(surest, candidates=tuple(one.less_sure(share) for one in surest.candidates))
+    factor = beside_rivals(surest.confidence, rivals) / surest.confidence
+    return replace(surest, candidates=tuple(one.times_as_sure(factor) for one in surest.candidates))
 
 
 def _check_top(top: int) -> None:

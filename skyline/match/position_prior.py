@@ -79,7 +79,7 @@ class PositionPrior:
         return prior.looking_as(noted, frame)
 
     def looking_as(self, noted: NotedPlace, frame: Frame) -> "PositionPrior":
-        """Return the prior with the compass direction that a photo notes, if any."""
+        """Return the prior with a photo's compass direction, if it notes one."""
         if noted.heading_deg is None:
             return self
         turn_deg = frame.convergence_deg(easting_m=self.easting_m, northing_m=self.northing_m)
@@ -92,7 +92,7 @@ class PositionPrior:
     def cost(
         self, place_m: Complex128Array, eye_m: Float64Array, heading_rad: Float64Array
     ) -> Float64Array:
-        """Return the negative log density (M,) of poses over a uniform one.
+        """Return the negative log (M,) of poses' density over an even one's.
 
         ``place_m`` holds eastings, and northings as the imaginary part; headings are grid
         azimuths of the optical axis.

@@ -180,9 +180,11 @@ class Refinement:
             for mode in (SCOUT, ROUGH, FOLLOW, FINE)
         )
         self._rendered = 0
-        self._expected = effort.rounds + MOVES.restart_rounds + effort.final_rounds
-        self._expected += effort.shortlist > effort.particles
-        self._expected += (1 + MOVES.likeliest_rounds) * (effort.likeliest > 0)
+        self._to_render = effort.rounds + MOVES.restart_rounds + effort.final_rounds
+        if effort.shortlist > effort.particles:
+            self._to_render += 1
+        if effort.likeliest:
+            self._to_render += 1 + MOVES.likeliest_rounds
 
     def run(self, poses: Poses) -> Poses:
         """Return distinct poses that fit, best first; none where none fits.
@@ -196,18 +198,7 @@ class Refinement:
         """
         effort = self.effort
         best = np.argsort(poses.cost, kind="stable")[: effort.shortlist]
-        poses = poses[best]
-        likeliest = None
-        if len(poses) > effort.particles:
-            if effort.likeliest:
-                likeliest = self.started(self.rough, poses[: effort.likeliest])
-                for _ in range(MOVES.likeliest_rounds):
-                    likeliest = self.moved(self.follow, likeliest)
-            seen = self.started(self.scout, poses).best(effort.particles)
-            poses = self.poses(seen)
-        particles = self.started(self.rough, poses)
-        if likeliest is not None:
-            particles = Particles.concatenate([particles, likeliest])
+        particles = self._first(poses[best])
         for _ in range(effort.rounds - 1):
             kept = max(effort.keep_least, int(np.ceil(effort.keep_share * len(particles))))
             particles = self.moved(self.follow, self.survivors(particles, kept))
@@ -217,6 +208,24 @@ class Refinement:
         for _ in range(effort.final_rounds):
             particles = self.moved(self.fine, particles)
         return self.with_figures(self.distinct(particles, effort.finalists))
+
+    def _first(self, poses: Poses) -> Particles:
+        """Return the particles of the first round, from poses that are best first.
+
+        Of more poses than can be followed, the best by a coarse rendering are, and the likeliest by
+        their costs after some moves.
+        """
+        effort = self.effort
+        if len(poses) <= effort.particles:
+            return self.started(self.rough, poses)
+        seen = self.started(self.scout, poses).best(effort.particles)
+        particles = self.started(self.rough, self.poses(seen))
+        if not effort.likeliest:
+            return particles
+        likeliest = self.started(self.rough, poses[: effort.likeliest])
+        for _ in range(MOVES.likeliest_rounds):
+            likeliest = self.moved(self.follow, likeliest)
+        return Particles.concatenate([particles, likeliest])
 
     def started(self, solver: Solver, poses: Poses) -> Particles:
         """Return particles at poses, with attitudes solved from the poses' own."""
@@ -289,7 +298,7 @@ class Refinement:
 
     def _seen(self, solver: Solver, place_m: Complex128Array, state: Float64Array) -> Curves:
         """Render the photo's directions from M eyes at their states' heights."""
-        self._report(Step.REFINING, min(1.0, self._rendered / self._expected))
+        self._report(Step.REFINING, min(1.0, self._rendered / self._to_render))
         self._rendered += 1
         easting_m, northing_m = place_m.real, place_m.imag
         ground_m = self._scene.ground_m(easting_m, northing_m)
@@ -337,7 +346,7 @@ class Refinement:
         return self.rough.poses(particles.curves, particles.fit)
 
     def with_figures(self, particles: Particles) -> Poses:
-        """Return particles after the last rounds, with figures of their fits."""
+        """Return the poses of particles, with figures of their fits."""
         solver = self.fine
         linear, found = solver.evaluate(particles.curves, particles.fit)
         # Columns share errors that the likelihood takes for independent: variances are too small by

@@ -405,7 +405,7 @@ def view_in_words(one: Pose) -> str:
 
 
 def quality_in_words(one: Pose) -> str:
-    """Return a pose's confidences in words, or its cost if it has none."""
+    """Return a pose's confidences in words, or else its cost."""
     if one.confidence is None:
         return f"cost {one.cost:.3g} (the lower, the better it fits)"
     return f"confidence {one.confidence:.2f} within 200 m, {one.confidence_1km:.2f} within 1 km"

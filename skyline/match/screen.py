@@ -80,7 +80,7 @@ Scores = Callable[[UInt8Array], Float32Array]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Alike(Rows):
-    """The K places whose skylines are most like a photo's, best first.
+    """K places, and how like a photo's their skylines are.
 
     Attributes
     ----------
@@ -208,6 +208,7 @@ class Screen:
         return np.concatenate([np.zeros(0, dtype=np.float32), *found])
 
     def _scores(self, phase: UInt8Array) -> Float32Array:
+        """Return `scores` of places that are compared together."""
         opened = self.open_turns.reshape(PHASE_BINS // _TURNS_AT_ONCE, -1)
         parts = np.flatnonzero(opened.any(axis=1))
         if self._turn_step > 1:
@@ -266,9 +267,9 @@ class Screen:
 
 
 def _at_odd_turns(phase: UInt8Array) -> UInt8Array:
-    """Return phases (N, B), turned by one bin at half of the places, as if drawn by lot.
+    """Return phases (N, B), turned by one bin at half of the places.
 
-    The parity of a place's phases decides, so it does not depend on the places beside it.
+    The places are as if drawn by lot: the parity of a place's own phases decides.
     """
     is_odd = np.add.reduce(phase, axis=1, dtype=np.uint8) % 2 == 1
     return np.where(is_odd[:, np.newaxis], np.roll(phase, -1, axis=1), phase)
@@ -328,7 +329,10 @@ def waves_of(rays: Rays, gain: int = 1) -> Complex128Array:
 
 
 def _rises(rays: Rays) -> tuple[Float64Array, Float64Array]:
-    """Return the rises (B,) of level rays from bin to bin, NaN where unknown, and the trust."""
+    """Return the rises (B,) of level rays from bin to bin, and the trust.
+
+    Unknown rises are NaN.
+    """
     y, trust = on_bins(rays, 0.0, PHASE_BINS)
     rise = np.roll(y, -1) - y
     # The neighbour of the last bin is the first one, behind the camera.

@@ -1,6 +1,6 @@
 """The full matcher: retrieval among places, refinement by rendering, and a confidence."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cache
@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 from threadpoolctl import ThreadpoolController
 
-from skyline.arrays import BoolArray
+from skyline.arrays import BoolArray, Float64Array
 from skyline.errors import InputError
 from skyline.geodesy.map_frame import Frame
 from skyline.match import confidence
@@ -159,10 +159,10 @@ class FullMatcher(SearchMethod):
     ) -> tuple[Poses, Poses | None]:
         """Return the poses retrieved for a photo, and the refined ones.
 
-        The refined ones are None without a scene. The first short list is refined quickly. That is
-        enough where one place fits far better than any other, as with most skylines. Otherwise the
-        last short list is refined with more effort, and in a large area the surroundings of the
-        best answers are searched again. Raises as `search`.
+        Without a scene, None stands for the refined ones. The first short list is refined quickly.
+        That is enough where one place fits far better than any other, as with most skylines.
+        Otherwise the last short list is refined with more effort, and in a large area the
+        surroundings of the best answers are searched again. Raises as `search`.
         """
         lists = self.retriever.shortlists(rays, self._shortlist, prior, report)
         found = next(lists)
@@ -184,8 +184,8 @@ class FullMatcher(SearchMethod):
         """Return refined poses, with those around the best answers, best first.
 
         Few poses of one neighbourhood have been refined, and these may have ended in local optima.
-        A search of the surroundings alone finds better ones. The best rivals get one as well, so
-        that no answer leads by its second search.
+        A search of the surroundings alone finds better ones. The best rivals get such a search as
+        well, so that no answer leads by its second search.
         """
         answers = poses[poses.suppress_non_maxima(_SURROUNDINGS, 1000.0 * _SURROUNDINGS_KM)]
         parts = [poses]
@@ -216,6 +216,7 @@ class FullMatcher(SearchMethod):
         parts = []
         for number, (area, its_prior) in enumerate(zip(self._areas, priors, strict=True)):
             own = replace(best[best.areas() == number], in_areas=None)
+            # The first area refines even no poses, so that there is an answer, if an empty one.
             if area.scene is None or (not len(own) and number):
                 continue
             found = Refinement(rays, area.scene, effort, its_prior, report=report).run(own)
@@ -223,7 +224,7 @@ class FullMatcher(SearchMethod):
         return best_of_several(parts, effort.finalists)
 
     def _found_in(self, area: int, poses: Poses) -> Poses:
-        """Return poses as found in an area, if there are several."""
+        """Return poses marked as an area's, if several areas are searched."""
         if not self._frames:
             return poses
         return poses.found_in(np.full(len(poses), area, dtype=np.intp), self._frames)
@@ -324,14 +325,25 @@ class FullMatcher(SearchMethod):
             )
             if belongs and len(retrieved)
         ]
-        near = roughly = np.zeros(len(cost))
-        if figures:
-            # Photos of one place share the errors of the terrain model there, to an unknown
-            # degree: together they count as one photo with the mean figures.
-            mean = {name: np.mean([one[name] for one in figures], axis=0) for name in figures[0]}
-            near, roughly = confidence.shared_probabilities(self.models, standing, mean)
+        near, roughly = self._joint_probabilities(standing, figures)
         sure = [replace(poses, confidence=near, confidence_1km=roughly) for poses in joint]
         return [poses[chosen] for poses in sure], agrees
+
+    def _joint_probabilities(
+        self, places: Poses, figures: Sequence[Mapping[str, Float64Array]]
+    ) -> tuple[Float64Array, Float64Array]:
+        """Return the probabilities that photos' common places are right.
+
+        ``figures`` has the figures of each photo that agrees; the results are as in
+        `skyline.match.confidence.shared_probabilities`.
+        """
+        if not figures:
+            none = np.zeros(len(places))
+            return none, none
+        # Photos of one place share the errors of the terrain model there, to an unknown degree:
+        # together they count as one photo with the mean figures.
+        mean = {name: np.mean([one[name] for one in figures], axis=0) for name in figures[0]}
+        return confidence.shared_probabilities(self.models, places, mean)
 
     def _needed_scene(self, area: int = 0) -> RenderedScene:
         """Return the scene of an area; raises `InputError` without one."""
@@ -361,13 +373,13 @@ class FullMatcher(SearchMethod):
 def _with_noted(found: Poses, near: Poses | None) -> Poses:
     """Return retrieved poses with those around the photo's noted place.
 
-    The latter's costs are shifted until their best equals the best of all; refinement decides
-    between them.
+    The costs of those around it are shifted until their best equals the best of the others, and
+    refinement decides.
     """
     if near is None or not len(near) or not len(found):
         return found
-    raised = near.cost - near.cost.min() + found.cost.min()
-    return Poses.concatenate([found, replace(near, cost=raised)])
+    shifted = near.cost - near.cost.min() + found.cost.min()
+    return Poses.concatenate([found, replace(near, cost=shifted)])
 
 
 def _with_one_noted_place(
@@ -375,7 +387,7 @@ def _with_one_noted_place(
 ) -> list[tuple[Rays, Prior]]:
     """Return photos with the most precise noted place alone.
 
-    The positions of photos from one phone share their error, so they are not independent.
+    Positions that one phone notes share their error, so they do not count as independent.
     """
     noted = [prior.noted for _, prior in photos if prior.noted is not None]
     best = min(noted, key=lambda place: place.sd_m, default=None)

@@ -57,7 +57,7 @@ class Starts(Rows):
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Neighbours(Rows):
-    """The C places that are nearest to each of M points, nearest first."""
+    """The C places nearest to each of M points, nearest first."""
 
     row: IntArray
     """(M, C) intp. Row of the place."""
@@ -100,7 +100,7 @@ class Shard(Protocol):
         """Return the best turns of places (M,)."""
 
     def nearest(self, place_m: Float64Array, count: int) -> Neighbours:
-        """Return the ``count`` places that are nearest to eastings and northings (M, 2)."""
+        """Return the ``count`` places nearest to eastings and northings (M, 2)."""
 
     def fitted(
         self, rays: Rays, starts: Starts, effort: FitEffort, report: StepProgress = silent
@@ -173,11 +173,12 @@ class LocalShard:
 
     @cached_property
     def _tree(self) -> "cKDTree":
-        """The tree of all places, some 30 bytes a place; neither sort is worth its time."""
+        """The tree of all places, some 30 bytes a place."""
         from scipy.spatial import cKDTree  # noqa: PLC0415  (slow to load, seldom needed)
 
         columns = [np.stack([one.easting_m, one.northing_m], 1) for one in self._places.blocks()]
         place_m = np.concatenate([np.zeros((0, 2)), *columns])
+        # A tree that is balanced or compact saves less time than it takes to make.
         return cKDTree(place_m, balanced_tree=False, compact_nodes=False)
 
     def nearest(self, place_m: Float64Array, count: int) -> Neighbours:
