@@ -4,7 +4,7 @@ The places of one day lie on a line: the path that the tip of the summit's shado
 ground, at the height of an eye.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from datetime import date, datetime
 
@@ -62,7 +62,7 @@ def standpoints(
     eye_height_m: float,
     curvature: Curvature,
 ) -> list[Standpoint]:
-    """Return where in a circle a body stands over a summit, minute by minute.
+    """Return where in a circle a body stands over a summit, by minute.
 
     The summit is the highest sample near a longitude and latitude. Ground nearer than 150 m to it
     hides nothing, as for `skyline.sightings`. The day is the 24 hours around noon of the mean sun.
@@ -81,39 +81,37 @@ def standpoints(
     middle_m = np.array(middle)
     to_middle_m = middle_m - summit_m[:2]
     far_m = float(np.hypot(*to_middle_m)) + radius_m
-    times = minutes_of(day, summit_deg[0])
+    times = np.array(minutes_of(day, summit_deg[0]))
     places_m = np.broadcast_to(summit_m, (len(times), 3))
-    away_m = np.zeros(len(times))
     for _ in range(_ROUNDS):
         seen_deg = _seen_from(terrain, places_m, body, times)
         back_rad = np.radians(seen_deg[:, 2] + 180.0)
         may_reach = _reaches(back_rad, to_middle_m, radius_m) & (seen_deg[:, 1] > 0.0)
-        times = [at for at, may in zip(times, may_reach, strict=True) if may]
-        seen_deg, back_rad = seen_deg[may_reach], back_rad[may_reach]
+        times, seen_deg, back_rad = times[may_reach], seen_deg[may_reach], back_rad[may_reach]
         away_m = _shadow_m(
             terrain, summit_m, back_rad, np.tan(np.radians(seen_deg[:, 1])), far_m,
             eye_height_m, curvature,
         )  # fmt: skip
         is_met = np.isfinite(away_m)
-        times = [at for at, met in zip(times, is_met, strict=True) if met]
-        seen_deg, back_rad, away_m = seen_deg[is_met], back_rad[is_met], away_m[is_met]
+        times, seen_deg, back_rad, away_m = (
+            one[is_met] for one in (times, seen_deg, back_rad, away_m)
+        )
         toward = np.column_stack([np.sin(back_rad), np.cos(back_rad)])
         tip_m = summit_m[:2] + away_m[:, np.newaxis] * toward
         ground_m = terrain.height_at(easting_m=tip_m[:, 0], northing_m=tip_m[:, 1])
         places_m = np.column_stack([tip_m, ground_m + eye_height_m])
-    is_near = np.hypot(*(places_m[:, :2] - middle_m).T) <= radius_m
     lon, lat = terrain.frame.to_lonlat(places_m[:, 0], places_m[:, 1])
     names = ("lon", "lat", "distance_m", "azimuth_deg", "elevation_deg")
-    rows = np.column_stack([lon, lat, away_m, seen_deg[:, :2]]).tolist()
+    rows = np.column_stack([lon, lat, away_m, seen_deg[:, :2]])
+    is_near = np.hypot(*(places_m[:, :2] - middle_m).T) <= radius_m
     return [
         Standpoint(time=at, **dict(zip(names, row, strict=True)))
-        for at, row, near in zip(times, rows, is_near, strict=True)
-        if near
+        for at, row in zip(times[is_near], rows[is_near].tolist(), strict=True)
     ]
 
 
 def _seen_from(
-    terrain: HeightField, places_m: Float64Array, body: Body, times: Sequence[datetime]
+    terrain: HeightField, places_m: Float64Array, body: Body, times: Iterable[datetime]
 ) -> Float64Array:
     """Return a body's azimuths, elevations and grid azimuths, (N, 3).
 

@@ -45,7 +45,7 @@ LEAST_POINTS = 3
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PointErrors(GroundErrors):
-    """Errors of control points, some of them on the ground of a terrain model."""
+    """Errors of control points, and of the ground that some lie on."""
 
     place_sd_m: float = 5.0
     """Standard deviation of a point's easting, northing and elevation from a map or a phone."""
@@ -60,7 +60,7 @@ and no building is higher than a kilometre."""
 
 @dataclass(frozen=True, slots=True)
 class _Steps:
-    """How a fit proceeds."""
+    """How a fit proceeds, and which points and poses it trusts."""
 
     first: int = 4
     """Steps from each start."""
@@ -69,6 +69,8 @@ class _Steps:
     most: int = 30
     """Most steps of these fits."""
     damping: float = 1e-3
+    """Damping of the first step, as a share of the matrix's diagonal; it grows tenfold after a step
+    that raises the cost, and falls to a fifth after any other."""
     enough: float = 1e-9
     """A fit ends when its cost falls by no more than this share."""
     most_misfit: float = 3.0
@@ -80,6 +82,8 @@ class _Steps:
 
 
 _STEPS = _Steps()
+_MOST_PITCH_RAD = 1.5
+"""Greatest pitch: straight up or down, heading and roll are one turn, and no fit tells them apart."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -281,7 +285,7 @@ class _Fit:
         )[: len(self.known.precision)]  # fmt: skip
 
     def _check_elevations(self, ground_m: Float64Array) -> None:
-        """Raise `InputError` for a point far from the ground under it, as one in feet is."""
+        """Raise `InputError` for a point far from the ground, as one in feet is."""
         points = self.points
         above_m = points.elevation_m - ground_m
         lowest_m, highest_m = _OFF_GROUND_M
@@ -357,7 +361,7 @@ class _Fit:
         spread += self.errors.pixel_sd_px**2 * np.eye(2)
         return (to_px @ off[..., np.newaxis])[..., 0], to_px @ changes, spread
 
-    def normal(
+    def normal_equations(
         self, state: Float64Array, used: BoolArray
     ) -> tuple[float, Float64Array, Float64Array]:
         """Return the cost of a state, its gradient and the normal matrix."""
@@ -420,13 +424,13 @@ class _Fit:
         self, state: Float64Array, used: BoolArray, steps: int
     ) -> tuple[float, Float64Array]:
         """Return the least cost from a start, and its state."""
-        cost, gradient, normal = self.normal(state, used)
+        cost, gradient, normal = self.normal_equations(state, used)
         damping = _STEPS.damping
         for _ in range(steps):
             scale = np.diag(np.maximum(np.diagonal(normal), 1e-12))
             step = np.linalg.solve(normal + damping * scale, gradient)
             new = self._bounded(state - step)
-            found = self.normal(new, used)
+            found = self.normal_equations(new, used)
             if not found[0] < cost:
                 damping *= 10.0
                 if damping > 1e6:
@@ -445,7 +449,7 @@ class _Fit:
         first_half = projection.half_width(self.known.pose.fov_deg)
         widest = projection.half_width(projection.most_fov_deg)
         bounded = state.copy()
-        bounded[PITCH] = np.clip(state[PITCH], -1.5, 1.5)
+        bounded[PITCH] = np.clip(state[PITCH], -_MOST_PITCH_RAD, _MOST_PITCH_RAD)
         bounded[LOG_SCALE] = np.clip(
             state[LOG_SCALE],
             math.log(projection.half_width(MIN_FOV_DEG) / first_half),
@@ -458,7 +462,7 @@ class _Fit:
     def result(self, state: Float64Array, used: BoolArray, name: str) -> PointsFit:
         """Return a state as a fit."""
         miss_px, _, spread = self.linear(state)
-        _, _, normal = self.normal(state, used)
+        _, _, normal = self.normal_equations(state, used)
         chi2 = np.einsum("ni,nij,nj->n", miss_px, np.linalg.inv(spread), miss_px)[used]
         misfit = math.sqrt(float(chi2.mean()) / 2.0)
         covariance = np.linalg.inv(normal)

@@ -225,7 +225,10 @@ class Orienter(Closeable):
         return Standing.of_noted(noted, ground)
 
     def _relief_m(self, away_m: float) -> float:
-        """Return the ground's rms height above the place, there and on a ring."""
+        """Return the rms difference of the ground's heights from the place's.
+
+        The heights are the place's own and those of a ring around it.
+        """
         ground_m = self._around(away_m).eye_elevation_m - DEFAULT_EYE_HEIGHT_M
         return math.sqrt(np.mean((ground_m - self._ground_m) ** 2))
 
@@ -308,15 +311,7 @@ class Orienter(Closeable):
         return poses[np.argsort(poses.cost, kind="stable")]
 
     def _prior(self, noted: NotedPlace, standing: Standing, narrowing: Narrowing) -> Prior:
-        """Return the prior of a photo's pose."""
-        return Prior(narrowing, self.frame, noted=self._known(noted, standing))
-
-    def _refinement(self, rays: Rays, prior: Prior, standing: Standing) -> _RefinementByHeading:
-        """Return the refinement of a photo's rays, with its prior."""
-        return _RefinementByHeading(rays, self._scene, _EFFORT, prior, standing.eye)
-
-    def _known(self, noted: NotedPlace, standing: Standing) -> PositionPrior:
-        """Return the known place and the photo's compass direction as a prior."""
+        """Return a pose's prior: the known place, and the direction noted."""
         known = PositionPrior(
             self._east,
             self._north,
@@ -325,18 +320,18 @@ class Orienter(Closeable):
             elevation_sd_m=standing.elevation_sd_m,
         )
         # The photo need not note a position: the heading is turned at the known one.
-        return known.looking_as(noted, self.frame)
+        return Prior(narrowing, self.frame, noted=known.looking_as(noted, self.frame))
+
+    def _refinement(self, rays: Rays, prior: Prior, standing: Standing) -> _RefinementByHeading:
+        """Return the refinement of a photo's rays, with its prior."""
+        return _RefinementByHeading(rays, self._scene, _EFFORT, prior, standing.eye)
 
     def _orientation(
         self, skyline: PhotoSkyline, rays: Rays, poses: Poses, narrowing: Narrowing
     ) -> Orientation:
         """Return the best pose as an orientation, refused if doubtful."""
         if not len(poses):
-            within = ""
-            if narrowing.heading_deg is not None:
-                heading_deg, slack_deg = narrowing.heading_deg
-                within = f" within {slack_deg:g} degrees of {heading_deg:g}"
-            return Orientation(skyline, None, refusal=f"no heading{within} fits at this place")
+            return Orientation(skyline, None, refusal=_nothing_fits(narrowing))
         other_eye = self._other_eye(poses)
         poses = poses[poses.suppress_non_maxima(len(poses), np.inf, _SEARCH.apart_deg)]
         moved_m = self._moved_m(poses)
@@ -410,7 +405,7 @@ class Orienter(Closeable):
         )
 
     def _doubt(self, poses: Poses, pose: Pose, sure: float) -> str | None:
-        """Return the refusal of a heading with too little confidence, or None."""
+        """Return `_too_unsure` with a hint, or None for a heading that is sure."""
         if sure >= LEAST_CONFIDENCE:
             return None
         doubt = _too_unsure(sure)
@@ -448,7 +443,17 @@ def _surest(orientations: Sequence[Orientation]) -> Orientation:
     )
 
 
+def _nothing_fits(narrowing: Narrowing) -> str:
+    """Return the refusal of a photo that no heading fits."""
+    within = ""
+    if narrowing.heading_deg is not None:
+        heading_deg, slack_deg = narrowing.heading_deg
+        within = f" within {slack_deg:g} degrees of {heading_deg:g}"
+    return f"no heading{within} fits at this place"
+
+
 def _too_unsure(sure: float) -> str:
+    """Return the refusal of a heading with too little confidence."""
     return (
         f"the heading has a confidence of {confidence_below(sure)}, and {LEAST_CONFIDENCE:.2f} is "
         "needed"
