@@ -374,23 +374,24 @@ class Matcher(Closeable):
             self._config,
         )
         seconds = time.perf_counter() - started
-        apart = _DISAGREES if len(usable) > 1 else _ALONE
-        results = tuple(
-            MatchResult(
-                photo.skyline,
-                found[number],
-                seconds,
-                verdict.refusal,
-                verdict.within_m,
-                photo.name,
-                crs=self.crs,
+        apart = Verdict(_DISAGREES if len(usable) > 1 else _ALONE)
+        results = []
+        for number, photo in enumerate(read):
+            alone = apart if photo.refusal is None else Verdict(photo.refusal)
+            own = verdict if number in found else alone
+            results.append(
+                MatchResult(
+                    photo.skyline,
+                    found.get(number, ()),
+                    seconds,
+                    own.refusal,
+                    own.within_m,
+                    photo.name,
+                    crs=self.crs,
+                )
             )
-            if number in found
-            else MatchResult(photo.skyline, (), seconds, photo.refusal or apart, name=photo.name)
-            for number, photo in enumerate(read)
-        )
         given = tuple(narrowing or Narrowing() for narrowing in narrowings or [None] * len(read))
-        return JointResult(results, seconds, verdict.refusal, given)
+        return JointResult(tuple(results), seconds, verdict.refusal, given)
 
     def posterior(
         self, result: MatchResult | JointResult, report_progress: StepProgress = silent

@@ -10,7 +10,18 @@ import xarray as xr
 from rasterio.transform import from_origin
 from scenes import write_dem
 
-from skyline import Frame, InputError, PhotoSkyline, Viewer, horizon, read_dem, sky_view_grid
+from skyline import (
+    Frame,
+    InputError,
+    MatchConfig,
+    Matcher,
+    PhotoSkyline,
+    Viewer,
+    build_places,
+    horizon,
+    read_dem,
+    sky_view_grid,
+)
 from skyline.geodesy.earth import EARTH_RADIUS_M, Curvature
 from skyline.report.horizon_files import write_horizons
 from skyline.tasks.render import RenderTask
@@ -144,6 +155,16 @@ def test_no_program_for_the_earth_is_given_the_horizon_of_a_moon(around, tmp_pat
         write_horizons(around, tmp_path / f"moon{ending}")
     assert not list(tmp_path.iterdir())
     write_horizons(around, tmp_path / "moon.csv")
+
+
+def test_photos_that_fit_nowhere_on_a_moon_have_its_longitudes_too(moon, tmp_path):
+    path = tmp_path / "moon.h5"
+    build_places(moon, path, 50.0, (LON - 0.002, LAT - 0.001, LON + 0.002, LAT + 0.001))
+    bare = PhotoSkyline(np.full(8, np.nan), np.zeros(8), 8, 8, 60.0)
+    with Matcher(path, moon, config=MatchConfig(refine=False)) as matcher:
+        found = matcher.match_together([bare, bare])
+    assert not matcher.crs.equals("EPSG:4326")
+    assert [one.crs for one in found.results] == [matcher.crs] * 2
 
 
 def test_a_pose_on_a_moon_is_seen_with_the_moons_curvature(moon):
