@@ -83,7 +83,7 @@ class _Steps:
 
 _STEPS = _Steps()
 _MOST_PITCH_RAD = 1.5
-"""Greatest pitch: straight up or down, heading and roll are one turn, and no fit tells them apart."""
+"""Greatest pitch. Straight up or down, heading and roll are one turn, which no fit can divide."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -57,30 +57,37 @@ class Narrowing:
         if self.bounds_deg is not None:
             check_bounds(self.bounds_deg)
         if self.near is not None:
-            lon, lat, radius_km = self.near
-            if not (abs(lon) <= 180.0 and abs(lat) <= 90.0 and 0.0 < radius_km < np.inf):
-                is_swapped = abs(lon) <= 90.0 < abs(lat) <= 180.0
-                raise InputError(
-                    f"near is {lon:g},{lat:g},{radius_km:g}; expected longitude and latitude in "
-                    "degrees and a radius above 0 km"
-                    + (f"; {swapped_in_words(lon, lat)}" if is_swapped else "")
-                )
+            _check_near(*self.near)
         if self.heading_deg is not None:
-            heading, slack = self.heading_deg
-            if not (abs(heading) <= 360.0 and 0.0 < slack <= 180.0):
-                raise InputError(
-                    f"heading is {heading:g} within {slack:g} degrees; expected a slack above 0, "
-                    "at most 180, and a heading from -360 to 360"
-                )
+            _check_heading(*self.heading_deg)
         if self.elevation_m is not None:
-            low, high = self.elevation_m
-            if not (np.isfinite(self.elevation_m).all() and low < high):
-                raise InputError(
-                    f"elevations are {low:g} to {high:g} m; expected two that increase"
-                )
+            _check_elevations(*self.elevation_m)
         if self.eye_height_m is not None:
             error = f"the eye is {self.eye_height_m!s:.40} m above the ground; expected 0 to 100000"
             (height_m,) = numbers_of([self.eye_height_m], 1, error)
             if not 0.0 <= height_m <= 1e5:
                 raise InputError(error)
             object.__setattr__(self, "eye_height_m", height_m)
+
+
+def _check_near(lon: float, lat: float, radius_km: float) -> None:
+    if abs(lon) <= 180.0 and abs(lat) <= 90.0 and 0.0 < radius_km < np.inf:
+        return
+    is_swapped = abs(lon) <= 90.0 < abs(lat) <= 180.0
+    raise InputError(
+        f"near is {lon:g},{lat:g},{radius_km:g}; expected longitude and latitude in degrees and a "
+        "radius above 0 km" + (f"; {swapped_in_words(lon, lat)}" if is_swapped else "")
+    )
+
+
+def _check_heading(heading_deg: float, slack_deg: float) -> None:
+    if not (abs(heading_deg) <= 360.0 and 0.0 < slack_deg <= 180.0):
+        raise InputError(
+            f"heading is {heading_deg:g} within {slack_deg:g} degrees; expected a slack above 0, "
+            "at most 180, and a heading from -360 to 360"
+        )
+
+
+def _check_elevations(low_m: float, high_m: float) -> None:
+    if not (np.isfinite([low_m, high_m]).all() and low_m < high_m):
+        raise InputError(f"elevations are {low_m:g} to {high_m:g} m; expected two that increase")

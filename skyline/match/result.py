@@ -1,7 +1,7 @@
 """The answer to one photo, as sentences, JSON, rows and tables."""
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from html import escape
 from typing import TYPE_CHECKING, Any, Protocol
@@ -208,12 +208,7 @@ class MatchResult:
             north = NORTHS[exif["heading_is_magnetic"]]
             own = "" if best is None else f", {it} {best.heading_deg:.0f}"
             sentences.append(f"Its compass says {exif['heading_deg']:.0f} degrees{north}{own}.")
-        far_m = max(
-            _DISAGREEMENT.position_m, _DISAGREEMENT.accuracies * (exif["accuracy_m"] or 0.0)
-        )
-        wrong = ["position"] if (exif["distance_m"] or 0.0) > far_m else []
-        if abs(exif["heading_off_deg"] or 0.0) > _DISAGREEMENT.compass_deg:
-            wrong.append("compass")
+        wrong = _disagreeing(exif)
         if wrong:
             notes = " and ".join(wrong)
             then = "one of them is wrong"
@@ -409,6 +404,16 @@ def quality_in_words(one: Pose) -> str:
     if one.confidence is None:
         return f"cost {one.cost:.3g} (the lower, the better it fits)"
     return f"confidence {one.confidence:.2f} within 200 m, {one.confidence_1km:.2f} within 1 km"
+
+
+def _disagreeing(exif: Mapping[str, Any]) -> list[str]:
+    """Return which of the notes in `MatchResult.exif` disagree with the pose."""
+    far_m = max(_DISAGREEMENT.position_m, _DISAGREEMENT.accuracies * (exif["accuracy_m"] or 0.0))
+    is_off = {
+        "position": (exif["distance_m"] or 0.0) > far_m,
+        "compass": abs(exif["heading_off_deg"] or 0.0) > _DISAGREEMENT.compass_deg,
+    }
+    return [note for note, off in is_off.items() if off]
 
 
 def _skyline_svg(skyline: PhotoSkyline) -> str:

@@ -184,19 +184,26 @@ class Screen:
         self._first = first
         self._span = last - first + 1
         self._fovs = len(fovs_deg)
-        # (2, 2 (span + 19), F T) float32. The photo at F fields of view and at T turns,
-        # the compared ones of 20; then its derivative by roll, scaled so that the square of
-        # its product is the gain of a roll. A coarse screen has no derivative.
+        # (1 or 2, 2 (span + 19), F T) float32. The photo at F fields of view and at T turns,
+        # the compared ones of 20; then, unless the screen is coarse, its derivative by roll, scaled
+        # so that the square of its product is the gain of a roll.
         waves = np.stack([level] if coarse else [level, _rolled(level, self._gain)])
         self._matrices = _at_turns(waves[:, :, first : last + 1], self._turn_step)
-        sums = self._every_turn(sample.phase)
+        self.mean, self.scale = self._standard(sample.phase, penalty)
+
+    def _standard(
+        self, phase: UInt8Array, penalty: Float64Array | None
+    ) -> tuple[Float32Array, Float32Array]:
+        """Return the mean and the scale (F,) that make scores of sums.
+
+        A sum less the mean, times the scale, is a score.
+        """
+        sums = self._every_turn(phase)
         mean = sums.mean(axis=(0, 2), dtype=np.float64).astype(np.float32)
         deviation = sums.std(axis=(0, 2), dtype=np.float64).astype(np.float32)
         if penalty is not None:
             mean += (penalty * deviation).astype(np.float32)
-        # A sum less the mean, times the scale, is a score.
-        self.mean = mean
-        self.scale = np.divide(1.0, deviation, out=np.zeros_like(deviation), where=deviation > 0.0)
+        return mean, np.divide(1.0, deviation, out=np.zeros_like(deviation), where=deviation > 0.0)
 
     def scores(self, phase: UInt8Array) -> Float32Array:
         """Return the score (N,) of the best turn and field of view.
