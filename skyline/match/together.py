@@ -82,20 +82,25 @@ class JointRefinement:
         for _ in range(effort.rounds - 1):
             kept = max(_SEARCH.kept_least, int(_SEARCH.kept_share * len(particles[0])))
             particles = self._moved(self._kept(particles, kept))
-        around = self._kept(particles, effort.restarts)
-        around = [solo.around(own) for solo, own in zip(self._solos, around, strict=True)]
-        for _ in range(MOVES.restart_rounds - 1):
-            around = self._moved(around)
-        particles = self._kept(_joined(particles, around), effort.finalists)
+        particles = self._kept(_joined(particles, self._restarted(particles)), effort.finalists)
         own_m = [poses.easting_m + 1j * poses.northing_m for poses in alone]
         best_m = np.concatenate([particles[0].curves.place_m[:1], *own_m])
         particles = _joined(particles, [_at_best_headings(solo, best_m) for solo in self._solos])
+        # The last rounds fit as the photos' own refinements did, so costs compare with theirs.
         self._solvers = [solo.fine for solo in self._solos]
         self._least = np.array([poses.cost.min(initial=np.inf) for poses in alone])
         particles = [solo.reweighted(own) for solo, own in zip(self._solos, particles, strict=True)]
         for _ in range(effort.final_rounds):
             particles = self._moved(particles)
         return self._poses(self._kept(particles, effort.finalists))
+
+    def _restarted(self, particles: Sequence[Particles]) -> list[Particles]:
+        """Return the particles that started around the best distinct places."""
+        best = self._kept(particles, self._effort.restarts)
+        around = [solo.around(own) for solo, own in zip(self._solos, best, strict=True)]
+        for _ in range(MOVES.restart_rounds - 1):
+            around = self._moved(around)
+        return around
 
     def _moved(self, particles: Sequence[Particles]) -> list[Particles]:
         """Return particles after one common step, where new renderings fit better."""
@@ -150,7 +155,8 @@ class JointRefinement:
         cost = _cost(off)
         share = _share(off)
         agrees = share >= 0.5
-        mean = self._precision(particles, share).sum(axis=0) / share.sum(axis=0)[:, None, None]
+        whole = share.sum(axis=0)[:, np.newaxis, np.newaxis]
+        mean = self._precision(particles, share).sum(axis=0) / whole
         covariance_m2 = TEMPERATURE * np.linalg.inv(mean)[:, :EYE_HEIGHT, :EYE_HEIGHT]
         covariance_m2 = 0.5 * (covariance_m2 + covariance_m2.swapaxes(1, 2))
         poses = [solo.with_figures(own) for solo, own in zip(self._solos, particles, strict=True)]
