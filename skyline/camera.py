@@ -558,28 +558,9 @@ class ImagePoints:
             Their derivatives by pitch and roll, radians, the logarithm of the scale, and warps.
         """
         scale = np.exp(log_scale)[:, np.newaxis]
-        u, v = self.scaled(scale)
         attitude = pitch_rad[:, np.newaxis], roll_rad[:, np.newaxis]
-        if self.is_panorama:
-            ways = scale[..., np.newaxis] * self.wander_ways
-            grown = v
-            if self.projection is Projection.EQUIRECTANGULAR:
-                grown = np.arctan(self.v) * scale * (1.0 + np.square(v))
-            lift = (ways @ warp[..., np.newaxis])[..., 0]
-            (right, up, forward), changes = _panorama_with_changes(
-                u, v + lift, grown + lift, ways, *attitude, self.projection
-            )
-        else:
-            stretch: Any = 1.0
-            share = np.zeros((*u.shape, 0))
-            if warp.shape[1]:
-                stretch = 1.0 + warp * self.reach
-                share = (self.reach / stretch)[..., np.newaxis]
-            (right, up, forward), changes = _axes_with_changes(
-                u * stretch, v * stretch, *attitude, self.projection
-            )
-            # Distortion moves rays outwards like the scale, but the more the farther out they are.
-            changes = [np.concatenate([one, one[..., 2:] * share], axis=-1) for one in changes]
+        warped = self._wandered_axes if self.is_panorama else self._distorted_axes
+        (right, up, forward), changes = warped(scale, *attitude, warp)
         right_change, up_change, forward_change = changes
         flat = np.hypot(right, forward)
         right_, forward_, up_, flat_ = (a[..., np.newaxis] for a in (right, forward, up, flat))
@@ -590,6 +571,32 @@ class ImagePoints:
             (forward_ * right_change - right_ * forward_change) / flat_**2,
             (up_change - up_ * flat_change / flat_) / flat_,
         )
+
+    def _wandered_axes(
+        self, scale: Float64Array, pitch: Float64Array, roll: Float64Array, warp: Float64Array
+    ) -> tuple[tuple[Any, Any, Any], list[Float64Array]]:
+        """Return `_panorama_with_changes` of these points, whose rows wander."""
+        u, v = self.scaled(scale)
+        ways = scale[..., np.newaxis] * self.wander_ways
+        grown = v
+        if self.projection is Projection.EQUIRECTANGULAR:
+            grown = np.arctan(self.v) * scale * (1.0 + np.square(v))
+        lift = (ways @ warp[..., np.newaxis])[..., 0]
+        return _panorama_with_changes(u, v + lift, grown + lift, ways, pitch, roll, self.projection)
+
+    def _distorted_axes(
+        self, scale: Float64Array, pitch: Float64Array, roll: Float64Array, warp: Float64Array
+    ) -> tuple[tuple[Any, Any, Any], list[Float64Array]]:
+        """Return `_axes_with_changes` of these points, distorted by a lens."""
+        u, v = self.scaled(scale)
+        stretch: Any = 1.0
+        share = np.zeros((*u.shape, 0))
+        if warp.shape[1]:
+            stretch = 1.0 + warp * self.reach
+            share = (self.reach / stretch)[..., np.newaxis]
+        axes, changes = _axes_with_changes(u * stretch, v * stretch, pitch, roll, self.projection)
+        # Distortion moves rays outwards like the scale, but the more the farther out they are.
+        return axes, [np.concatenate([one, one[..., 2:] * share], axis=-1) for one in changes]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -70,8 +70,8 @@ class _Rules:
     piece_deg: tuple[float, float] = (1.2, 3.0)
     """Least and greatest length of a piece."""
     below_share: float = 0.012
-    """Ground counts from this share of the longer side below the skyline: what wrong places share
-    with the right one must not count again."""
+    """Ground counts from this share of the longer side below the skyline: a wrong place whose
+    skyline fits has the edges next to it, too."""
     pose_deg: float = 0.1
     """Error of a direction from a fitted pose."""
     play: float = 1.5

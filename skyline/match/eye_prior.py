@@ -75,9 +75,9 @@ class KnownGround:
 
     elevation_m: float
     relief_m: float
-    """Standard deviation of the ground's height within the error of the place."""
+    """Standard deviation of the ground's height as far around as the place may be off."""
     takeoff_relief_m: float
-    """Standard deviation of the ground's height where a drone that is there may have taken off."""
+    """Standard deviation of the ground's height as far around as a drone may have taken off."""
     height_sd_m: float
     """Standard deviation of the terrain model's heights."""
 

@@ -32,6 +32,8 @@ _LONGEST_STEP = np.array([*np.radians([3.0, 4.0, 3.0]), 0.04, 1.25, 1.25], dtype
 """Longest step of a round; moves in standard deviations of the place. The wander of a panorama's
 rows steps at most as far as the pitch."""
 _DAMPING = np.float32(1e-3)
+"""Damping of a step: this share of the normal matrix's diagonal, and this much besides, since a
+level skyline says nothing of its heading."""
 
 
 @dataclass(frozen=True, slots=True)

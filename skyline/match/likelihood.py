@@ -102,7 +102,7 @@ class HeightErrors(Rows):
         """
         rise_rad = np.full_like(blur_rad, np.nan) if rise_rad is None else rise_rad
         beyond_rad = np.zeros_like(blur_rad) if beyond_rad is None else beyond_rad
-        # Height errors hardly move a skyline as far away as an unknown one is taken to be.
+        # An unknown skyline is taken to be so far away that height errors hardly move it.
         distance = np.where(np.isfinite(distance_m), distance_m, 1e9)
         if not nodes:
             reach_m = 2.0 / 3.0 * HEIGHT_REACH_M

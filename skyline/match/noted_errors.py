@@ -21,7 +21,8 @@ class NotedErrors:
     least_altitude_sd_m: float = 15.0
     """Least scale of an altitude's error, as the datum may differ from the terrain model's."""
     altitude_accuracies: float = 3.0
-    """Heights are two to three times as uncertain as places."""
+    """Scale of an altitude's error, as a multiple of the noted accuracy: heights are two to three
+    times as uncertain as places."""
     altitude_sd_m: float = math.hypot(30.0 / math.sqrt(2.0), 15.0)
     """Scale of an altitude without an accuracy. The geoid's height above the ellipsoid has a root
     mean square of 30 m over the Earth (EGM96). Half of the devices are taken to note heights above
@@ -42,7 +43,8 @@ class NotedErrors:
     """Standard deviation of a compass from true north. The declination is not modelled, and reaches
     20 degrees where people live."""
     magnetic_sd_deg: float = 30.0
-    """A compass that does not name its north may refer to the magnetic one."""
+    """Standard deviation of a compass from magnetic north, or from a north that it does not name,
+    which may be the magnetic one."""
 
 
 NOTED_ERRORS = NotedErrors()

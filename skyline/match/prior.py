@@ -43,7 +43,7 @@ class Prior:
     exif: NotedPlace | None = None
     """The EXIF that ``noted`` is from."""
     surroundings: Circle | None = None
-    """Where a part of the search looks."""
+    """The circle of the surroundings in degrees, if only these are searched."""
 
     @classmethod
     def of(
@@ -78,7 +78,7 @@ class Prior:
         noted = next((prior.noted for prior in priors if prior.noted is not None), None)
         if noted is None:
             return priors
-        # A frame that does not reach the noted place is far from it, and so costs as much.
+        # In a frame that does not reach the noted place, all places are far from it.
         far = replace(noted, easting_m=_FAR_M, northing_m=_FAR_M, grid_heading_deg=None)
         return [replace(prior, noted=prior.noted or far) for prior in priors]
 

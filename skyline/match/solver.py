@@ -51,7 +51,7 @@ _WIDEST_ANGLE = len(ANGLES_DEG) - 1
 _WIDEST_HEIGHT = len(HEIGHT_SHARES) - 1
 _NEIGHBOURS = ((-1, 0), (0, -1), (1, 0), (0, 1))
 """Steps of the indices into `ANGLES_DEG` and `HEIGHT_SHARES` that are tried."""
-_MOVES = slice(EAST, HEADING)
+_MOVE = slice(EAST, HEADING)
 """The columns of a state that move the eye."""
 _TANGENT, _SLOPE, _BY_MOVE, _DISTANCE, _RISE = 0, 1, slice(2, 5), 5, 6
 """Channels of curves: the elevation tangent, its slope by azimuth, its derivatives by a metre east,
@@ -422,7 +422,7 @@ class Solver:
         azimuth = turned + state[:, HEADING, np.newaxis]
         skyline = curves.at(azimuth)
         by_move = skyline[..., _BY_MOVE]
-        move = state[:, _MOVES].copy()
+        move = state[:, _MOVE].copy()
         move[:, EYE_HEIGHT] -= curves.eye_height_m
         y = skyline[..., _TANGENT] + (by_move @ move[..., np.newaxis])[..., 0]
         # Differences of tangents become angles; the derivative of this factor is left out.
@@ -582,7 +582,7 @@ class Solver:
             return
         precision, offset_m = self._noted.pull(linear.place_m, linear.eye_m)
         precision *= TEMPERATURE
-        gradient[:, _MOVES] += precision * offset_m
+        gradient[:, _MOVE] += precision * offset_m
         for axis in (EAST, NORTH, EYE_HEIGHT):
             normal[:, axis, axis] += precision[:, axis]
 

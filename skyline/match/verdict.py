@@ -193,10 +193,10 @@ def candidate_reached(candidates: Sequence[Pose], start: Pose, fitted: Pose | No
     """Return the candidate to which a fit has led, or None.
 
     The fit leads to the nearest candidate that is the same answer as its pose, or back to the
-    candidate that it started from, whichever fits better. If the pose fits better than both, it
-    replaces the nearest candidate: it gets the rank and the confidences, which belong to the
-    answer. But if it also fits better than the best candidate, it can replace only the best one:
-    any other answer that fits so well is one that the search did not know.
+    candidate that it started from, whichever fits better. A pose that fits better than both
+    replaces the nearest candidate, and gets its rank and its confidences, which belong to the
+    answer. A pose that also fits better than the best candidate can replace only that one: any
+    other answer that fits so well is one that the search did not know.
 
     Costs can be compared, since a fit ends with the rays and the prior of the search. The pose
     fits better than a candidate if the odds are e to 1 or more.

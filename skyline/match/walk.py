@@ -110,7 +110,7 @@ def _spread(cells: Float64Array, radius: float) -> Float64Array:
 def _disc(radius: float) -> Float64Array:
     """Return a square grid with a disc of sum 1.
 
-    A cell on its rim counts by the part inside.
+    A cell on its rim counts by the part of it that lies inside.
     """
     reach = int(np.ceil(radius))
     parts = 8  # Of a cell's side.
