@@ -70,7 +70,9 @@ class FitEffort:
 
 
 ROUGH_FIT = FitEffort(40, (0.5, 0.35, 0.25))
+"""For a first look at many starts."""
 GOOD_FIT = FitEffort(100, (0.5, 0.35, 0.25, 0.2, 0.2))
+"""For the starts that the rough fits leave."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -104,28 +104,14 @@ class HeightErrors(Rows):
         beyond_rad = np.zeros_like(blur_rad) if beyond_rad is None else beyond_rad
         # An unknown skyline is taken to be so far away that height errors hardly move it.
         distance = np.where(np.isfinite(distance_m), distance_m, 1e9)
-        if not nodes:
+        if nodes:
+            factor = _factor_at_nodes(azimuth_rad, distance, nodes)
+            rough = _MODEL.rough_share / np.hypot(distance, HEIGHT_REACH_M / 3.0)
+        else:
             reach_m = 2.0 / 3.0 * HEIGHT_REACH_M
-            shared = distance / (distance**2 + reach_m**2)
+            factor = (distance / (distance**2 + reach_m**2))[..., np.newaxis]
             rough = 1.0 / np.hypot(distance, reach_m)
-            return cls(shared[..., np.newaxis], rough, blur_rad, rise_rad, beyond_rad)
-        column = np.arange(distance.shape[1])
-        node = np.unique(np.rint(np.linspace(0, column[-1], nodes)).astype(np.intp))
-        # Weights (R, K) of linear interpolation.
-        between = np.stack([np.interp(column, node, unit) for unit in np.eye(len(node))], axis=1)
-        place = (distance * np.exp(1j * azimuth_rad))[:, node]
-        to_eye = 0.5 - height_correlation(np.abs(place))
-        apart = np.abs(place[:, :, np.newaxis] - place[:, np.newaxis, :])
-        covariance = height_correlation(apart)
-        covariance += to_eye[:, :, np.newaxis] + to_eye[:, np.newaxis, :]
-        root = np.linalg.cholesky(covariance + 1e-6 * np.eye(len(node)))
-        return cls(
-            between @ root / distance[..., np.newaxis],
-            _MODEL.rough_share / np.hypot(distance, HEIGHT_REACH_M / 3.0),
-            blur_rad,
-            rise_rad,
-            beyond_rad,
-        )
+        return cls(factor, rough, blur_rad, rise_rad, beyond_rad)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -271,6 +257,23 @@ def likelihood(
         factor=factor,
         inner=inner,
     )
+
+
+def _factor_at_nodes(
+    azimuth_rad: Float64Array, distance_m: Float64Array, nodes: int
+) -> Float64Array:
+    """Return `HeightErrors.factor` (M, R, K), linear between nodes along skylines."""
+    column = np.arange(distance_m.shape[1])
+    node = np.unique(np.rint(np.linspace(0, column[-1], nodes)).astype(np.intp))
+    # Weights (R, K) of linear interpolation.
+    between = np.stack([np.interp(column, node, unit) for unit in np.eye(len(node))], axis=1)
+    place_m = (distance_m * np.exp(1j * azimuth_rad))[:, node]
+    to_eye = 0.5 - height_correlation(np.abs(place_m))
+    apart_m = np.abs(place_m[:, :, np.newaxis] - place_m[:, np.newaxis, :])
+    covariance = height_correlation(apart_m)
+    covariance += to_eye[:, :, np.newaxis] + to_eye[:, np.newaxis, :]
+    root = np.linalg.cholesky(covariance + 1e-6 * np.eye(len(node)))
+    return np.asarray(between @ root / distance_m[..., np.newaxis])
 
 
 def _odds_of_things(

@@ -28,7 +28,9 @@ if TYPE_CHECKING:
 TOP = 5
 """Candidates that a search returns by default."""
 NORTHS = {True: ", from magnetic north", False: "", None: ", from a north that it does not name"}
+"""The north from which a photo's direction counts, in words, by `NotedPlace.is_magnetic`."""
 _NO_COLUMNS = {"covariance_m2", "covariance", "rank"}
+"""Fields of a pose of which `to_geodataframe` makes other columns, or none."""
 _COVARIANCE = ("easting_variance_m2", "northing_variance_m2", "easting_northing_covariance_m2")
 
 
