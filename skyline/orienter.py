@@ -392,8 +392,7 @@ class Orienter(Closeable):
 
     def _moved_m(self, poses: Poses) -> Float64Array:
         """Return how far poses (M,) lie from the known place."""
-        place_m = poses.easting_m + 1j * poses.northing_m
-        return np.abs(place_m - complex(self._east, self._north))
+        return np.abs(poses.place_m - complex(self._east, self._north))
 
     def _far(self, moved_m: float) -> str | None:
         """Return the refusal of a pose far from the place, or None."""

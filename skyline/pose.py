@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from skyline.angles import angle_between_deg
-from skyline.arrays import BoolArray, Float64Array, IntArray, Rows
+from skyline.arrays import BoolArray, Complex128Array, Float64Array, IntArray, Rows
 from skyline.camera import Camera
 from skyline.geodesy.map_frame import Frame, geodesic_m
 from skyline.photo.skyline import PhotoForm
@@ -423,6 +423,11 @@ class Poses(Rows):
             raise ValueError("these poses were not fitted by rendering, so they have no figures")
         return self.fits
 
+    @property
+    def place_m(self) -> Complex128Array:
+        """Eastings (M,) of the eyes, and northings as the imaginary part."""
+        return self.easting_m + 1j * self.northing_m
+
     def areas(self) -> IntArray:
         """Return each pose's area (M,); 0 where there is only one."""
         if self.in_areas is None:
@@ -485,8 +490,8 @@ class Poses(Rows):
 
     def _distances_from_m(self, one: int | tuple[slice, None]) -> Float64Array:
         """Return the distances of all poses from one, or from each."""
-        place = self.easting_m + 1j * self.northing_m
-        apart_m = np.asarray(np.abs(place[one] - place))
+        place_m = self.place_m
+        apart_m = np.asarray(np.abs(place_m[one] - place_m))
         if self.in_areas is None:
             return apart_m
         area, geocentric_m = self.in_areas.area, self.in_areas.geocentric_m

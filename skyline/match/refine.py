@@ -229,11 +229,10 @@ class Refinement:
 
     def started(self, solver: Solver, poses: Poses) -> Particles:
         """Return particles at poses, with attitudes solved from the poses' own."""
-        place_m = poses.easting_m + 1j * poses.northing_m
         fit = solver.start(poses)
         if self._first_eye_height_m is not None:
             fit = solver.at_height(fit, np.full(len(poses), self._first_eye_height_m))
-        return self.arrived(solver, place_m, fit)
+        return self.arrived(solver, poses.place_m, fit)
 
     def reweighted(self, particles: Particles) -> Particles:
         """Return particles fitted with correlated errors, until the chosen errors have settled."""

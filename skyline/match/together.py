@@ -83,7 +83,7 @@ class JointRefinement:
             kept = max(_SEARCH.kept_least, int(_SEARCH.kept_share * len(particles[0])))
             particles = self._moved(self._kept(particles, kept))
         particles = self._kept(_joined(particles, self._restarted(particles)), effort.finalists)
-        own_m = [poses.easting_m + 1j * poses.northing_m for poses in alone]
+        own_m = [poses.place_m for poses in alone]
         best_m = np.concatenate([particles[0].curves.place_m[:1], *own_m])
         particles = _joined(particles, [_at_best_headings(solo, best_m) for solo in self._solos])
         # The last rounds fit as the photos' own refinements did, so costs compare with theirs.
