@@ -339,6 +339,7 @@ class Orienter(Closeable):
         sure = float(self._model.probability(figures)[0])
         pose = replace(poses[:1].on_map(self.frame)[0], rank=None)
         above_m = float(self._eye_heights_m(poses[:1])[0])
+        # The other projections are fitted to an eye that stands as the pose's does.
         standing = Standing(EyeHeightPrior(above_m, self._scene.height_sd_m))
         prior = self._prior(skyline.noted, standing, narrowing)
         other = find_other_projection(
@@ -348,8 +349,8 @@ class Orienter(Closeable):
         def refused(*doubts: str | None) -> str | None:
             return refusal_of(pose, skyline, rays, doubts=doubts, ambiguity=other_eye, other=other)
 
-        doubt = self._doubt(poses, pose, sure)
-        far = self._far(moved_m[0])
+        unsure = self._unsure(poses, pose, sure)
+        too_far = self._too_far(moved_m[0])
         names = (f"{name}_sd_deg" for name in ANGLES)
         errors_deg = dict(zip(names, poses.figures().angle_sd_deg[0].tolist(), strict=True))
         return Orientation(
@@ -359,8 +360,8 @@ class Orienter(Closeable):
             confidence=sure,
             moved_m=float(moved_m[0]),
             eye_height_m=above_m,
-            refusal=refused(doubt, far),
-            lacks_confidence_only=doubt is not None and refused(far) is None,
+            refusal=refused(unsure, too_far),
+            lacks_confidence_only=unsure is not None and refused(too_far) is None,
         )
 
     def _other_eye(self, poses: Poses) -> str | None:
@@ -394,7 +395,7 @@ class Orienter(Closeable):
         """Return how far poses (M,) lie from the known place."""
         return np.abs(poses.place_m - complex(self._east, self._north))
 
-    def _far(self, moved_m: float) -> str | None:
+    def _too_far(self, moved_m: float) -> str | None:
         """Return the refusal of a pose far from the place, or None."""
         if moved_m <= _DOUBTS.far_sds * self._position_sd_m:
             return None
@@ -403,7 +404,7 @@ class Orienter(Closeable):
             f"deviation is {self._position_sd_m:g} m; check the place"
         )
 
-    def _doubt(self, poses: Poses, pose: Pose, sure: float) -> str | None:
+    def _unsure(self, poses: Poses, pose: Pose, sure: float) -> str | None:
         """Return `_too_unsure` with a hint, or None for a heading that is sure."""
         if sure >= LEAST_CONFIDENCE:
             return None
