@@ -40,7 +40,7 @@ from skyline.match.retrieval import Retriever
 from skyline.match.search import one_blas_thread
 from skyline.match.shard import LocalShard
 from skyline.match.solver import TEMPERATURE
-from skyline.match.verdict import confidence_below, refusal_of, too_little
+from skyline.match.verdict import confidence_in_words, refusal_of, too_little
 from skyline.orientation import LEAST_CONFIDENCE, Orientation
 from skyline.photo.haze import farther_skylines
 from skyline.photo.image import Picture
@@ -455,8 +455,8 @@ def _nothing_fits(narrowing: Narrowing) -> str:
 def _too_unsure(sure: float) -> str:
     """Return the refusal of a heading with too little confidence."""
     return (
-        f"the heading has a confidence of {confidence_below(sure)}, and {LEAST_CONFIDENCE:.2f} is "
-        "needed"
+        f"the heading has a confidence of {confidence_in_words(sure)}, and "
+        f"{LEAST_CONFIDENCE:.2f} is needed"
     )
 
 

@@ -227,12 +227,12 @@ def likelihood(
     spread = ((factor @ inner) * factor).sum(axis=-1)
     off = residual - explained
     half_squares = 0.5 * (off**2 + spread) / variance
-    bare, log_other = _odds_of_things(residual, off, variance + spread, errors.rise_rad, scale)
+    bare, log_other = _bare_and_other(residual, off, variance + spread, errors.rise_rad, scale)
     may_rise = errors.beyond_rad > 0.0
     if may_rise.any():
         hidden, density = _raised(off, errors.beyond_rad, np.sqrt(variance + spread), 1.0)
         shown = bare * scale / np.sqrt(2.0 * np.pi * variance) * np.exp(-half_squares)
-        bare, log_other = _odds_beyond_edge(
+        bare, log_other = _bare_and_other_past_edge(
             bare, log_other, shown, trust * known, may_rise, hidden, scale * density
         )
     log_peak = np.log(bare) - 0.5 * np.log(2.0 * np.pi * variance / scale**2)
@@ -276,18 +276,19 @@ def _factor_at_nodes(
     return np.asarray(between @ root / distance_m[..., np.newaxis])
 
 
-def _odds_of_things(
+def _bare_and_other(
     residual: Float64Array,
     off: Float64Array,
     variance: Float64Array,
     rise_rad: Float64Array,
     scale: Float64Array,
 ) -> tuple[Float64Array | float, Float64Array]:
-    """Return how likely columns show bare terrain, and how they lie otherwise.
+    """Return how likely columns show bare terrain, and where they lie otherwise.
 
-    The first result is the prior probability that no tree or house hides the terrain's skyline; the
-    second (M, R) is the log density of the residual of a column that does not show that skyline.
-    ``off`` is what height errors leave of the residuals, with its ``variance``.
+    The first result is the prior probability that a column shows the terrain's skyline, with no
+    tree or house above it; the second (M, R) is the log density of a residual together with all
+    else that its column may show. ``off`` is what height errors leave of the residuals, with its
+    ``variance``.
     """
     bare = 1.0 - _MODEL.above_share - _MODEL.below_share
     log_other = log_density_without_terrain(residual)
@@ -303,7 +304,7 @@ def _odds_of_things(
     )
 
 
-def _odds_beyond_edge(
+def _bare_and_other_past_edge(
     bare: Float64Array | float,
     log_other: Float64Array,
     shown: Float64Array,
@@ -312,9 +313,9 @@ def _odds_beyond_edge(
     hidden: Float64Array,
     density: Float64Array,
 ) -> tuple[Float64Array, Float64Array]:
-    """Return `_odds_of_things` where terrain past the data's edge may rise, too.
+    """Return `_bare_and_other` where terrain past the data's edge may rise, too.
 
-    ``shown`` is the density of a column's residual together with bare terrain; for ``hidden`` and
+    ``shown`` is the density of a residual together with bare terrain; for ``hidden`` and
     ``density`` see `_beyond_share`.
     """
     other = np.exp(log_other)

@@ -345,8 +345,8 @@ def _log_prior(at: Poses | AlikePlaces, noted: PositionPrior | None) -> Float64A
     none = np.zeros(len(at))
     if noted is None:
         return none
-    place = replace(noted, grid_heading_deg=None, elevation_m=None)
-    return -place.cost(at.easting_m + 1j * at.northing_m, none, none)
+    position_only = replace(noted, grid_heading_deg=None, elevation_m=None)
+    return -position_only.cost(at.easting_m + 1j * at.northing_m, none, none)
 
 
 def _softmax(values: Float64Array) -> Float64Array:

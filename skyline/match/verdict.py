@@ -238,7 +238,7 @@ def _sure_within_m(best: Pose, config: MatchConfig) -> float | None:
     return ROUGHLY_WITHIN_M if best.confidence_1km >= 1.0 - doubt else None
 
 
-def confidence_below(sure: float) -> str:
+def confidence_in_words(sure: float) -> str:
     """Return a confidence in words, rounded down: 0.796 is less than 0.80."""
     return f"{math.floor(100.0 * sure) / 100.0:.2f}"
 
@@ -248,9 +248,10 @@ def _lack_of_confidence(candidates: Sequence[Pose], config: MatchConfig) -> str 
     best = candidates[0]
     if best.confidence is None or _sure_within_m(best, config) is not None:
         return None
+    sure = confidence_in_words(best.confidence_1km or 0.0)
     return (
-        f"the best place has a confidence of {confidence_below(best.confidence_1km or 0.0)} within "
-        f"1 km, and {config.min_confidence:.2f} is needed" + _slope_hint(candidates)
+        f"the best place has a confidence of {sure} within 1 km, and {config.min_confidence:.2f} "
+        "is needed" + _slope_hint(candidates)
     )
 
 
