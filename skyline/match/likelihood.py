@@ -248,7 +248,7 @@ def likelihood(
     each += terrain_probability * (log_terrain - log_peak)
     half_chi2 = 0.5 * (weight * residual * (residual - explained)).sum(axis=1)
     return Likelihood(
-        cost=each @ trust + half_log_det + half_chi2,
+        cost=each @ trust + half_log_det + half_chi2 + _cost_of_share(trust * known, may_rise),
         half_chi2=half_chi2,
         terrain_probability=terrain_probability,
         trusted_probability=trust * terrain_probability,
@@ -325,6 +325,16 @@ def _bare_and_other_past_edge(
         np.where(may_rise, bare * (1.0 - share * hidden), bare),
         np.where(may_rise, np.log(either), log_other),
     )
+
+
+def _cost_of_share(trust: Float64Array, may_rise: BoolArray) -> Float64Array:
+    """Return what the choice of the share of risen columns costs each pose (M,).
+
+    With n columns of which none is risen, the mean of the likelihood over all shares s up to the
+    greatest is about 1 / (1 + n s) of the one that is chosen, which a share of 0 gives.
+    """
+    count = (trust * may_rise).sum(axis=1)
+    return np.asarray(np.log1p(_MODEL.beyond_share * count))
 
 
 def density_without_terrain(residual_rad: Float64Array) -> Float64Array:
