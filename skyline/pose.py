@@ -346,8 +346,6 @@ class FitFigures(Rows):
     margin: Float64Array
     """(M,) float64. `Poses.rival_margin` for `RIGHT_WITHIN_M`; below 0 for all but the best
     pose."""
-    far_margin: Float64Array
-    """(M,) float64. `Poses.rival_margin` for `ROUGHLY_WITHIN_M`."""
     angle_sd_deg: Float64Array
     """(M, 4) float64. Standard errors of heading, pitch, roll and field of view."""
 
@@ -484,24 +482,27 @@ class Poses(Rows):
             Pose(**dict(zip(known, row, strict=True))) for row in zip(*known.values(), strict=True)
         )
 
-    def distances_m(self) -> Float64Array:
-        """Return the horizontal distances (M, M) between the poses."""
-        return self._distances_from_m((slice(None), np.newaxis))
+    def distances_m(self, others: "Poses | None" = None) -> Float64Array:
+        """Return the horizontal distances (M, N) to other poses.
 
-    def _distances_from_m(self, one: int | tuple[slice, None]) -> Float64Array:
-        """Return the distances of all poses from one, or from each."""
-        place_m = self.place_m
-        apart_m = np.asarray(np.abs(place_m[one] - place_m))
-        if self.in_areas is None:
+        By default, these are the poses themselves. Both are of the same areas.
+        """
+        others = self if others is None else others
+        apart_m = np.asarray(np.abs(self.place_m[:, np.newaxis] - others.place_m))
+        if self.in_areas is None or others.in_areas is None:
             return apart_m
-        area, geocentric_m = self.in_areas.area, self.in_areas.geocentric_m
-        chord_m = np.linalg.norm(geocentric_m[one] - geocentric_m, axis=-1)
-        return np.where(area[one] == area, apart_m, chord_m)
+        mine, theirs = self.in_areas, others.in_areas
+        offset_m = mine.geocentric_m[:, np.newaxis] - theirs.geocentric_m
+        is_one_area = mine.area[:, np.newaxis] == theirs.area
+        return np.where(is_one_area, apart_m, np.linalg.norm(offset_m, axis=-1))
 
-    def are_same(self, within_m: float, turn_deg: float) -> BoolArray:
-        """Return which pairs of poses (M, M) are the same answer."""
-        turn = angle_between_deg(self.grid_heading_deg, self.grid_heading_deg[:, np.newaxis])
-        return np.asarray((self.distances_m() <= within_m) & (turn <= turn_deg))
+    def are_same(
+        self, within_m: float, turn_deg: float, others: "Poses | None" = None
+    ) -> BoolArray:
+        """Return whether each pair (M, N) of these and other poses is one answer."""
+        others = self if others is None else others
+        turn = angle_between_deg(self.grid_heading_deg[:, np.newaxis], others.grid_heading_deg)
+        return np.asarray((self.distances_m(others) <= within_m) & (turn <= turn_deg))
 
     def rival_margin(self, farther_than_m: float, turn_deg: float = 360.0) -> Float64Array:
         """Return each pose's margin (M,) over its best rival.
@@ -532,7 +533,8 @@ class Poses(Rows):
                 continue
             chosen.append(int(index))
             turn = angle_between_deg(self.grid_heading_deg, self.grid_heading_deg[index])
-            left &= (self._distances_from_m(int(index)) >= separation_m) | (turn > turn_deg)
+            apart_m = self[int(index)].distances_m(self)[0]
+            left &= (apart_m >= separation_m) | (turn > turn_deg)
             left[index] = False
         return np.array(chosen, dtype=np.intp)
 

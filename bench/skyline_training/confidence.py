@@ -21,7 +21,7 @@ from skyline.errors import InputError
 from skyline.match.confidence import Logistic, model_name
 from skyline.pose import DISTANCES_M
 from skyline_bench.measuring import Row
-from skyline_training.examples import HELD_OUT, LEARNED, STAGES, STRANGE, Example, Examples
+from skyline_training.examples import HELD_OUT, LEARNED, STAGES, Example, Examples
 
 Reliability = tuple[str, Float64Array, BoolArray]
 """A label, probabilities (N,), and whether the answers were right (N,)."""
@@ -30,8 +30,8 @@ _RIDGE = 1e-3
 """Examples of terrain and of kinds left out are equally likely with ridges of 3e-4 to 3e-3. A
 larger ridge pulls all probabilities to the middle."""
 _BETTER_HIGH = {
-    "inlier_share", "log_columns", "log_odds", "log_far_margin", "margin", "log_margin",
-    "retrieved_log_margin", "retrieved_log_far_margin",
+    "inlier_share", "log_columns", "log_skyline", "log_odds", "log_far_margin", "margin",
+    "log_margin", "lead", "far_lead",
 }  # fmt: skip
 _BETTER_LOW = {
     "cost", "log_residual", "log_position_sd", "log_height_sd", "log_heading_sd", "log_moved",
@@ -39,9 +39,10 @@ _BETTER_LOW = {
 }  # fmt: skip
 """Figures that never make a pose less likely to be right when they rise, or when they fall. The
 others describe the photo, and may act either way."""
-_STRANGERS_WEIGHT = 0.5
-"""Weight of strangers. A fifth of the examples are strangers, so that there
-are enough to learn from; among real photos they are rarer."""
+_OUTSIDE_WEIGHT = 0.5
+"""Weight of queries that were taken outside the area searched, strangers among them. More than half
+of the examples are such queries, so that there are enough to learn from; among real photos they are
+rarer."""
 _BINS = 10
 
 
@@ -64,7 +65,7 @@ def learn(examples: Sequence[Example], within_m: float) -> Logistic:
     parts = Logistic(names, mean, scale, (), 0.0).segments(figures)
     _, count, segments = parts.shape
     terms, sign = parts.reshape(len(examples), -1), np.where(right, 1.0, -1.0)
-    weight = np.where([one.kind == STRANGE for one in examples], _STRANGERS_WEIGHT, 1.0)
+    weight = np.where([one.is_outside for one in examples], _OUTSIDE_WEIGHT, 1.0)
     weight /= weight.sum()
 
     def loss_of(parameters: Float64Array) -> tuple[float, Float64Array]:

@@ -24,7 +24,7 @@ from skyline import Matcher, build_places, read_dem
 from skyline.angles import angle_between_deg
 from skyline.arrays import Float64Array
 from skyline.errors import InputError
-from skyline.geodesy.map_frame import Rectangle
+from skyline.geodesy.map_frame import Rectangle, in_rectangle
 from skyline.match import confidence
 from skyline.match.noted_errors import NOTED_ERRORS
 from skyline.match.position_prior import PositionPrior
@@ -99,6 +99,7 @@ class Example:
     error: float
     kind: str = ""  # The kind of the query
     turn_deg: float = 0.0  # Error of the heading of a place
+    is_outside: bool = False  # Whether the query was taken outside the area that was searched
 
 
 Examples = dict[str, dict[str, list[Example]]]
@@ -186,12 +187,14 @@ def _examples_on(
     strangers = _without_prior(strangers_of(strange, queries, seed))
     found: dict[str, list[Example]] = {name: [] for name in STAGES}
     for model, side_m, kinds in ((terrain, SIDE_M, own), (coarse, WIDE_M, in_coarse)):
-        with _matcher(model, built_of(model, side_m), folder, places) as matcher:
+        searched = built_of(model, side_m)
+        with _matcher(model, searched, folder, places) as matcher:
             for kind, some in kinds.items():
-                for stage, example in examples_from(matcher, some, kind):
+                for stage, example in examples_from(matcher, some, kind, searched):
                     found[stage].append(example)
-            for stage, example in examples_from(matcher, strangers, STRANGE):
-                found[stage].append(replace(example, error=math.inf, turn_deg=math.inf))
+            for stage, example in examples_from(matcher, strangers, STRANGE, searched):
+                stranger = replace(example, error=math.inf, turn_deg=math.inf, is_outside=True)
+                found[stage].append(stranger)
     return found
 
 
@@ -265,7 +268,10 @@ def _matcher(
 
 
 def examples_from(
-    matcher: FullMatcher, queries: Sequence[tuple[SyntheticQuery, Prior]], kind: str
+    matcher: FullMatcher,
+    queries: Sequence[tuple[SyntheticQuery, Prior]],
+    kind: str,
+    searched_m: Rectangle,
 ) -> Iterator[tuple[str, Example]]:
     """Yield the stages and examples of each query of a kind.
 
@@ -279,25 +285,30 @@ def examples_from(
         found, poses = matcher.found(rays, prior)
         if len(found):
             figures = confidence.retrieved_figures(found, rays)
-            yield "retrieved", _example(figures, found, query, kind)
+            yield "retrieved", _example(figures, found, query, kind, searched_m)
         if poses is not None and len(poses):
             figures = confidence.refined_figures(poses, found, rays)
-            yield "refined", _example(figures, poses, query, kind)
+            yield "refined", _example(figures, poses, query, kind, searched_m)
             figures = confidence.pose_figures(poses, rays)
-            yield confidence.FITTED, _example(figures, poses, query, kind)
+            yield confidence.FITTED, _example(figures, poses, query, kind, searched_m)
 
 
 def _example(
-    figures: dict[str, Float64Array], poses: Poses, query: SyntheticQuery, kind: str
+    figures: dict[str, Float64Array],
+    poses: Poses,
+    query: SyntheticQuery,
+    kind: str,
+    searched_m: Rectangle,
 ) -> Example:
-    best = int(np.argmin(poses.cost))
-    off_m = float(query.truth.off_m(poses.easting_m[best], poses.northing_m[best]))
-    turn_deg = float(angle_between_deg(poses.grid_heading_deg[best], query.truth.grid_heading_deg))
+    truth, best = query.truth, int(np.argmin(poses.cost))
+    off_m = float(truth.off_m(poses.easting_m[best], poses.northing_m[best]))
+    turn_deg = float(angle_between_deg(poses.grid_heading_deg[best], truth.grid_heading_deg))
     return Example(
         {name: float(values[best]) for name, values in figures.items()},
         off_m if turn_deg <= SAME_VIEW_DEG else math.inf,
         kind,
         turn_deg,
+        not in_rectangle(searched_m, truth.easting_m, truth.northing_m).item(),
     )
 
 

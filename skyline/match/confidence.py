@@ -67,6 +67,8 @@ class _FigureLimits:
     max_margin: float = 60.0
     """Greater margins count as this. Models learned with limits of up to 1,000 are no better, since
     the margins of queries from other regions can reach 124."""
+    greatest_lead: float = 2.0
+    """Greater leads in retrieval count as this, ahead or behind."""
     least_weight: float = 1e-9
     """Least likelihood, as a share of the best pose's: odds are no greater than its inverse."""
     camera_deviations: float = 4.0
@@ -127,29 +129,25 @@ class Logistic:
 def refined_figures(poses: Poses, found: Poses, rays: Rays) -> dict[str, Float64Array]:
     """Return the figures (M,) of refined poses by name.
 
-    The figures of the best of the retrieved poses, ``found``, are among them. The skyline of
-    another region can be bent to fit some place well, but seldom resembles that place in retrieval;
-    so the retrieval counts too. Rivals are more than 1 km away, or more than 200 m in a search so
-    narrow that no two retrieved poses are 1 km apart. If all retrieved poses are one place, there
-    is no rival, and the odds are even.
+    Poses of infinite cost are no rivals. Rivals in the odds are more than 1 km away, or more than
+    200 m in a search so narrow that no two of the retrieved poses ``found`` are 1 km apart. If all
+    retrieved poses are one place, there is no rival, and the odds are even.
+
+    The skyline of another region can be bent to fit some place well, but seldom resembles that
+    place in retrieval. So the lead counts, too, that the best pose's place had in retrieval.
     """
-    retrieved = retrieved_figures(found, rays)
-    best = int(np.argmin(found.cost))
+    best = poses[int(np.argmin(poses.cost))]
     widest_m = found.distances_m().max(initial=0.0)
-    margin = log_odds = np.zeros(len(poses))
-    if widest_m > ROUGHLY_WITHIN_M:
-        margin = poses.figures().far_margin
-        log_odds = _log_odds(poses, ROUGHLY_WITHIN_M)
-    elif widest_m > RIGHT_WITHIN_M:
-        margin = poses.figures().margin
-        log_odds = _log_odds(poses, RIGHT_WITHIN_M)
+    log_odds = np.zeros(len(poses))
     if widest_m > RIGHT_WITHIN_M:
-        log_odds = log_odds - 2.0 * np.log(max(1.0, _LIMITS.extent_m / widest_m))
+        within_m = ROUGHLY_WITHIN_M if widest_m > ROUGHLY_WITHIN_M else RIGHT_WITHIN_M
+        log_odds = _log_odds(poses, within_m)
+        log_odds -= 2.0 * np.log(max(1.0, _LIMITS.extent_m / widest_m))
     return pose_figures(poses, rays) | {
+        "log_skyline": np.log(np.maximum(poses.figures().skyline_m, 1.0)),
         "log_odds": log_odds,
-        "log_far_margin": _log_margin(margin),
-        "retrieved_log_margin": np.full(len(poses), retrieved["log_margin"][best]),
-        "retrieved_log_far_margin": np.full(len(poses), retrieved["log_far_margin"][best]),
+        "lead": np.full(len(poses), _lead(best, found, RIGHT_WITHIN_M)),
+        "far_lead": np.full(len(poses), _lead(best, found, ROUGHLY_WITHIN_M)),
     }
 
 
@@ -215,6 +213,21 @@ def _log_odds(poses: Poses, within_m: float) -> Float64Array:
     own = poses.are_same(within_m, SAME_VIEW_DEG) @ weight
     odds = (own + _LIMITS.least_weight) / (weight.sum() - own + _LIMITS.least_weight)
     return np.asarray(np.log(odds))
+
+
+def _lead(best: Poses, found: Poses, within_m: float) -> float:
+    """Return how much less one answer costs than its best rival in retrieval.
+
+    ``best`` is the answer's refined pose; it owns the retrieved poses within a distance that look
+    its way. The lead is negative if a rival costs less. An answer without retrieved poses counts as
+    the worst of them, and one without rivals has no lead.
+    """
+    is_own = best.are_same(within_m, SAME_VIEW_DEG, found)[0]
+    if is_own.all():
+        return 0.0
+    own = found.cost[is_own].min() if is_own.any() else found.cost.max()
+    lead = found.cost[~is_own].min() - own
+    return float(np.clip(lead, -_LIMITS.greatest_lead, _LIMITS.greatest_lead))
 
 
 def _weights(poses: Poses) -> Float64Array:

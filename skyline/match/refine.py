@@ -40,7 +40,6 @@ from skyline.match.solver import (
 from skyline.pose import (
     DISTANCES_M,
     RIGHT_WITHIN_M,
-    ROUGHLY_WITHIN_M,
     SAME_VIEW_DEG,
     FitFigures,
     Poses,
@@ -366,7 +365,6 @@ class Refinement:
             height_sd_m=solver.height_sds_m[particles.fit.height_index],
             beyond_share=np.asarray((solver.beyond_rad(linear) > 0.0) @ trust / trust.sum()),
             margin=poses.rival_margin(RIGHT_WITHIN_M, SAME_VIEW_DEG),
-            far_margin=poses.rival_margin(ROUGHLY_WITHIN_M, SAME_VIEW_DEG),
             angle_sd_deg=self._angle_sd_deg(particles, covariance),
         )
         return replace(poses, fits=fits)
@@ -404,14 +402,8 @@ def best_of_several(parts: Sequence[Poses], count: int) -> Poses:
     some = [part for part in parts if len(part)] or parts[:1]
     poses = Poses.concatenate(some)
     poses = poses[best_and_rivals(poses, count, SAME_VIEW_DEG)]
-    return replace(
-        poses,
-        fits=replace(
-            poses.figures(),
-            margin=poses.rival_margin(RIGHT_WITHIN_M, SAME_VIEW_DEG),
-            far_margin=poses.rival_margin(ROUGHLY_WITHIN_M, SAME_VIEW_DEG),
-        ),
-    )
+    margin = poses.rival_margin(RIGHT_WITHIN_M, SAME_VIEW_DEG)
+    return replace(poses, fits=replace(poses.figures(), margin=margin))
 
 
 def spread_m2(poses: Poses, covariance_m2: Float64Array) -> Float64Array:

@@ -143,13 +143,13 @@ class FullMatcher(SearchMethod):
             return replace(found, confidence=near, confidence_1km=roughly)[chosen]
         if not len(poses):
             return poses
-        figures = confidence.refined_figures(poses, found, rays)
         # A pose that has moved out of the narrowing is no candidate.
         is_allowed = self.retriever.allowed(prior, poses)
         allowed = replace(poses, cost=np.where(is_allowed, poses.cost, np.inf))
         chosen = allowed.suppress_non_maxima(top, _SEPARATION_M)
         if not len(chosen):
             return poses[chosen]
+        figures = confidence.refined_figures(allowed, found, rays)
         near, roughly = confidence.shared_probabilities(self.models, allowed, figures)
         return replace(poses, confidence=near, confidence_1km=roughly)[chosen]
 

@@ -9,7 +9,7 @@ from skyline.arrays import BoolArray, Complex128Array, Float64Array
 from skyline.match.likelihood import GREATEST_LOG_ODDS
 from skyline.match.refine import MOVES, Particles, Refinement, best_and_rivals, spread_m2
 from skyline.match.solver import EYE_HEIGHT, TEMPERATURE
-from skyline.pose import DISTANCES_M, Poses
+from skyline.pose import RIGHT_WITHIN_M, Poses
 
 _EYE = slice(EYE_HEIGHT + 1)
 """Columns of a state that all photos of one eye share."""
@@ -163,11 +163,8 @@ class JointRefinement:
         places = replace(poses[0], cost=cost)
         # Margins and covariances are of one average photo, and so are these odds.
         covariance_m2 = spread_m2(replace(places, cost=cost / len(poses)), covariance_m2)
-        margin, far_margin = (
-            places.rival_margin(least_m) / np.maximum(agrees.sum(axis=0), 1)
-            for least_m in DISTANCES_M
-        )
-        joint = {"covariance_m2": covariance_m2, "margin": margin, "far_margin": far_margin}
+        margin = places.rival_margin(RIGHT_WITHIN_M) / np.maximum(agrees.sum(axis=0), 1)
+        joint = {"covariance_m2": covariance_m2, "margin": margin}
         together = tuple(
             replace(own, cost=cost, fits=replace(own.figures(), **joint)) for own in poses
         )

@@ -31,7 +31,6 @@ def fitted(residual_deg):
         effective_columns=180.0 * one,
         height_sd_m=5.0 * one,
         margin=0.0 * one,
-        far_margin=0.0 * one,
         angle_sd_deg=np.ones((count, 4)),
         covariance=np.tile(np.eye(8), (count, 1, 1)),
     )
@@ -92,6 +91,23 @@ def test_a_narrow_search_divides_the_odds_by_the_square_of_its_extent():
     for extent_m in (990.0, 1_010.0, 4_000.0):
         off = log_odds(80_000.0) - log_odds(extent_m)
         assert off == pytest.approx(2.0 * np.log(8_500.0 / extent_m))
+
+
+def test_an_answer_leads_by_how_much_less_its_place_costs_in_retrieval_than_any_other():
+    """The refined pose, at 0 m, owns retrieved poses up to 200 m or 1 km away that look its way."""
+    found = retrieved([100.0, 600.0, 5_000.0], [1.5, 1.2, 1.9])
+    figures = confidence.refined_figures(fitted(np.array([0.1])), found, RAYS)
+    assert figures["lead"] == pytest.approx(1.2 - 1.5)
+    assert figures["far_lead"] == pytest.approx(1.9 - 1.2)
+    turned = replace(found, grid_heading_deg=np.add(found.grid_heading_deg, [0.0, 31.0, 0.0]))
+    figures = confidence.refined_figures(fitted(np.array([0.1])), turned, RAYS)
+    assert figures["far_lead"] == pytest.approx(1.2 - 1.5)
+
+
+def test_an_answer_that_retrieval_does_not_list_is_behind_as_its_worst_pose():
+    found = retrieved([5_000.0, 9_000.0], [1.2, 1.9])
+    figures = confidence.refined_figures(fitted(np.array([0.1])), found, RAYS)
+    assert figures["lead"] == figures["far_lead"] == pytest.approx(1.2 - 1.9)
 
 
 def test_poses_near_one_another_share_one_probability_and_others_the_rest():
