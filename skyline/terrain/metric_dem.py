@@ -14,6 +14,7 @@ from skyline.errors import InputError
 from skyline.geodesy.bounds import degrees_in_words
 from skyline.geodesy.crs import is_metric, is_of_earth, is_upright, off_area_deg, to_wgs84
 from skyline.geodesy.map_frame import Frame
+from skyline.terrain.datums import UNNAMED
 from skyline.terrain.grid import Grid
 from skyline.terrain.lazy_heights import Blocks, LazyHeights
 from skyline.terrain.provenance import DemOptions, Provenance
@@ -84,15 +85,24 @@ def metric_dem(mosaic: "Mosaic", options: DemOptions) -> MetricDem:
     frame = _map_frame(mosaic)
     source = None
     rules = RepairRules() if is_of_earth(crs) else RepairRules(ground_m=(-ABSURD_M, ABSURD_M))
+    is_unit_named = UNNAMED not in mosaic.conventions["height_unit"]
     if frame is not None:
         resampling = "none"
         _check_spacing(mosaic, max(grid.step_east, grid.step_north))
-        counts = repair(heights_m, mosaic.source, max(grid.step_east, grid.step_north), rules)
+        counts = repair(
+            heights_m,
+            mosaic.source,
+            max(grid.step_east, grid.step_north),
+            rules,
+            is_unit_named=is_unit_named,
+        )
     else:
         frame = Frame.local(lon=float(wrapped_deg(lon)), lat=lat, world=crs)
         ground_spacing = ground_spacing_m(grid, crs, frame)
         _check_spacing(mosaic, max(ground_spacing))
-        counts = repair(heights_m, mosaic.source, max(ground_spacing), rules)
+        counts = repair(
+            heights_m, mosaic.source, max(ground_spacing), rules, is_unit_named=is_unit_named
+        )
         spacing_m = square_spacing_m(ground_spacing)
         resampling = (
             f"cubic, once, all summits kept, from {crs.name} ({ground_spacing[0]:.2f} x "

@@ -97,12 +97,19 @@ class RepairCounts(NamedTuple):
 
 
 def repair(
-    heights_m: Float32Array, source: str, spacing_m: float, rules: RepairRules = RepairRules()
+    heights_m: Float32Array,
+    source: str,
+    spacing_m: float,
+    rules: RepairRules = RepairRules(),
+    *,
+    is_unit_named: bool = False,
 ) -> RepairCounts:
     """Turn fill into voids, remove spikes, and close small voids.
 
-    Afterwards NaN marks every hole. ``source`` is the name of the DEM in errors and warnings.
-    Raises `InputError` if there are no heights at all, or some above all ground.
+    Afterwards NaN marks every hole. ``source`` is the name of the DEM in errors and warnings, and
+    ``is_unit_named`` says whether it names the unit of its heights. Raises `InputError` if there
+    are no heights at all, or some above all ground, or if the ground is steeper than any and
+    nothing names a unit.
     """
     undeclared, values_m = void_undeclared(heights_m, spacing_m, rules)
     if values_m:
@@ -114,7 +121,7 @@ def repair(
         )
     despiked = remove_spikes(heights_m, spacing_m, rules)
     _check_range(heights_m, source, rules)
-    _check_slopes(heights_m, source, spacing_m, rules)
+    _check_slopes(heights_m, source, spacing_m, rules, is_unit_named)
     filled = fill_voids(heights_m, rules)
     hollow = 0
     for rows in row_strips(heights_m, rules.cached_samples):
@@ -153,9 +160,16 @@ def _check_range(heights_m: Float32Array, source: str, rules: RepairRules) -> No
 
 
 def _check_slopes(
-    heights_m: Float32Array, source: str, spacing_m: float, rules: RepairRules
+    heights_m: Float32Array,
+    source: str,
+    spacing_m: float,
+    rules: RepairRules,
+    is_unit_named: bool,
 ) -> None:
-    """Warn of ground that is steeper than any, as by another unit of heights."""
+    """Raise `InputError` for ground that is steeper than any.
+
+    In feet taken for metres it is. Where the unit is named, a warning says so.
+    """
     is_small = heights_m.size * spacing_m**2 < rules.least_area_m2
     if is_small or spacing_m < rules.least_spacing_m:
         return
@@ -167,14 +181,18 @@ def _check_slopes(
                 step_m = np.abs(np.diff(heights_m[rows], axis=axis))
             known += int(np.count_nonzero(np.isfinite(step_m)))
             steep += int(np.count_nonzero((step_m > spacing_m) & np.isfinite(step_m)))
-    if steep > rules.steep_share * known:
-        _log.warning(
-            "%s: %.0f %% of the steps between its samples are steeper than 45 degrees, more than "
-            "in any mountains; check whether its heights are in metres (rio edit-info --bidx 1 "
-            "--units ft names feet), and the CRS of its map",
-            source,
-            100.0 * steep / known,
+    if steep <= rules.steep_share * known:
+        return
+    said = (
+        f"{source}: {100.0 * steep / known:.0f} % of the steps between its samples are steeper "
+        "than 45 degrees, more than in any mountains"
+    )
+    if not is_unit_named:
+        raise InputError(
+            f"{said}, and nothing names the unit of its heights; name it (rio edit-info --bidx 1 "
+            "--units ft, or m if they are metres), or correct the CRS of its map"
         )
+    _log.warning("%s; check the unit that it names, and the CRS of its map", said)
 
 
 def void_undeclared(

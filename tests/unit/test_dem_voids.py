@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import rasterio
-from dem_scenes import colours, mountains
+from dem_scenes import colours, in_unit, mountains
 from rasterio.enums import ColorInterp
 from rasterio.transform import from_origin
 from rasterio.vrt import WarpedVRT
@@ -160,7 +160,7 @@ def test_the_sea_stays_where_the_fill_goes():
 def test_fill_is_counted_and_warned_of(tmp_path, caplog):
     heights = mountains()
     heights[:, :30] = 0.0
-    path = write_dem(tmp_path / "dem.tif", heights)
+    path = in_unit(tmp_path / "dem.tif", "m", heights)
     counts = read_dem(path).provenance
     assert (counts.undeclared, counts.hollow) == (4800, 4800)
     assert sum("with walls round them" in one for one in caplog.messages) == 1
