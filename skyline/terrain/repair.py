@@ -108,8 +108,8 @@ def repair(
 
     Afterwards NaN marks every hole. ``source`` is the name of the DEM in errors and warnings, and
     ``is_unit_named`` says whether it names the unit of its heights. Raises `InputError` if there
-    are no heights at all, or some above all ground, or if the ground is steeper than any and
-    nothing names a unit.
+    are no heights at all, or some above all ground, if voids were resampled with heights, or if the
+    ground is steeper than any and nothing names a unit.
     """
     undeclared, values_m = void_undeclared(heights_m, spacing_m, rules)
     if values_m:
@@ -120,7 +120,7 @@ def repair(
             " and ".join(f"{value:g}" for value in values_m),
         )
     despiked = remove_spikes(heights_m, spacing_m, rules)
-    _check_range(heights_m, source, rules)
+    _check_range(heights_m, source, spacing_m, rules)
     _check_slopes(heights_m, source, spacing_m, rules, is_unit_named)
     filled = fill_voids(heights_m, rules)
     hollow = 0
@@ -131,8 +131,13 @@ def repair(
     return RepairCounts(filled, hollow, despiked, undeclared)
 
 
-def _check_range(heights_m: Float32Array, source: str, rules: RepairRules) -> None:
-    """Raise `InputError` without heights, or above all ground; warn of sea beds."""
+def _check_range(
+    heights_m: Float32Array, source: str, spacing_m: float, rules: RepairRules
+) -> None:
+    """Raise `InputError` without heights, above all ground, or below it beside walls.
+
+    Warns of sea beds.
+    """
     lowest_m = np.inf
     highest_m = -np.inf
     for rows in row_strips(heights_m, rules.cached_samples):
@@ -151,12 +156,33 @@ def _check_range(heights_m: Float32Array, source: str, rules: RepairRules) -> No
             f"greatest mark voids, the nodata value (rio edit-info --nodata {highest_m:g})"
         )
     if lowest_m < rules.ground_m[0]:
+        if _has_smeared_voids(heights_m, spacing_m, rules):
+            raise InputError(
+                f"{source} has heights down to {lowest_m:.0f} m with walls round them, as a void "
+                "value leaves that was resampled with the heights beside it, which become ridges; "
+                "declare the value in the original (gdal_edit.py -a_nodata), and resample it again"
+            )
         _log.warning(
             "%s has heights down to %.0f m, the bed of a sea, which is taken for ground; set what "
             "lies under water to the height of its surface (gdal_calc.py)",
             source,
             lowest_m,
         )
+
+
+def _has_smeared_voids(heights_m: Float32Array, spacing_m: float, rules: RepairRules) -> bool:
+    """Return whether most samples below all ground stand beside walls.
+
+    The bed of a sea has gentle slopes. Resampling leaves values between that of voids and heights,
+    and overshoots beyond both.
+    """
+    low = sum(
+        int(np.count_nonzero(heights_m[rows] < rules.ground_m[0]))
+        for rows in row_strips(heights_m, rules.cached_samples)
+    )
+    beside = _beside_jumps(heights_m, rules.least_step_m(spacing_m), rules)
+    walled = int(np.count_nonzero(heights_m.reshape(-1)[beside] < rules.ground_m[0]))
+    return walled >= max(rules.min_rim_samples, rules.walled_share * low)
 
 
 def _check_slopes(

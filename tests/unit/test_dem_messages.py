@@ -27,6 +27,7 @@ from dem_scenes import (
 )
 from pyproj import CRS
 from rasterio.transform import Affine, from_origin
+from rasterio.warp import Resampling, reproject
 from refusals import assert_says
 from scenes import FRAME, UTM, field_of, write_dem
 
@@ -242,6 +243,20 @@ class TestRasters:
     def test_above_all_ground(self, tmp_path):
         path = write_dem(tmp_path / "dem.tif", np.where(mountains() > 1500.0, 9999.0, mountains()))
         assert_says("up to 9999 m, more than any .* --nodata 9999", lambda: read_dem(path))
+
+    @pytest.mark.parametrize("how", [Resampling.bilinear, Resampling.cubic])
+    def test_between_the_value_of_voids_and_ground(self, tmp_path, how):
+        # A plain of 1,000 m, half of it void, moved by a third of a sample: the cubic one rises
+        # beside the voids to about 1,700 m.
+        heights = np.where(np.arange(80) < 40, np.float32(-9999.0), np.float32(1000.0))
+        moved = np.empty((80, 80), np.float32)
+        reproject(
+            np.tile(heights, (80, 1)), moved, resampling=how, src_crs=UTM, dst_crs=UTM,
+            src_transform=from_origin(5e5, 5.2e6, 30.0, 30.0),
+            dst_transform=from_origin(5e5 + 10.0, 5.2e6 - 10.0, 30.0, 30.0),
+        )  # fmt: skip
+        path = write_dem(tmp_path / "dem.tif", moved)
+        assert_says("with walls round them, as a void value", lambda: read_dem(path))
 
     def test_in_feet_that_nothing_names(self, tmp_path):
         read_dem(write_dem(tmp_path / "metres.tif", ridges()))
