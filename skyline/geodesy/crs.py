@@ -13,6 +13,9 @@ from skyline.errors import InputError, one_line, printable
 from skyline.geodesy.earth import EQUATOR_RADIUS_M
 
 WGS84 = CRS.from_epsg(4326)
+_MODERN_M = 10.0
+"""Greatest difference between the axes of WGS 84 and those of other ellipsoids round the middle of
+the Earth. Bessel's, Clarke's and others, whose datums lie 100 m and more aside, differ by more."""
 
 
 def is_upright(crs: CRS) -> bool:
@@ -118,6 +121,17 @@ def transformer(source: CRS, target: CRS) -> Transformer:
             f"PROJ cannot transform coordinates of {source.name!r} to {target.name!r} "
             f"({one_line(error)}); give a DEM in another CRS of the Earth"
         ) from error
+
+
+def is_unplaced(crs: CRS, to_wgs84: str) -> bool:
+    """Return whether PROJ knows no way from a CRS to WGS 84.
+
+    ``to_wgs84`` is the way in words. PROJ takes a datum that it does not know for WGS 84. That is
+    right for modern ellipsoids and for the spheres of weather models; others are some 100 m off.
+    """
+    off_m = np.abs(np.subtract(half_axes_m(crs), half_axes_m(WGS84)))
+    is_sphere = len(set(half_axes_m(crs))) == 1
+    return "Ballpark" in to_wgs84 and not is_sphere and bool(off_m.max() > _MODERN_M)
 
 
 def to_wgs84(crs: CRS, x: float, y: float) -> tuple[float, float, str]:

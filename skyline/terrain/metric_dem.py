@@ -4,6 +4,7 @@ A model is warped if its own map cannot be the frame.
 """
 
 import logging
+import math
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -12,7 +13,14 @@ from skyline.angles import wrapped_deg
 from skyline.arrays import Float32Array
 from skyline.errors import InputError
 from skyline.geodesy.bounds import degrees_in_words
-from skyline.geodesy.crs import is_metric, is_of_earth, is_upright, off_area_deg, to_wgs84
+from skyline.geodesy.crs import (
+    is_metric,
+    is_of_earth,
+    is_unplaced,
+    is_upright,
+    off_area_deg,
+    to_wgs84,
+)
 from skyline.geodesy.map_frame import Frame
 from skyline.terrain.datums import UNNAMED
 from skyline.terrain.grid import Grid
@@ -29,7 +37,7 @@ FINEST_M = 0.01
 in degrees that is read as metres has less (a second of arc is 0.0003 degrees)."""
 
 FAR_DEG = 10.0
-"""A DEM farther than this from the area of its CRS likely has the coordinates of another CRS."""
+"""A DEM farther than this from the area of its projected CRS has the coordinates of another CRS."""
 
 _log = logging.getLogger(__name__)
 
@@ -74,9 +82,9 @@ def metric_dem(mosaic: "Mosaic", options: DemOptions) -> MetricDem:
     """Repair a DEM's heights, and warp them if they need it.
 
     Heights are repaired on their files' own grid, and warped if its map cannot be the frame. Warns
-    if the DEM lies far off the area of its CRS, or if a projected map is not used. Raises
-    `InputError` if the DEM's middle is no place on its world or the DEM has no heights at all, and
-    as `skyline.terrain.resampling.Warp`.
+    if a projected map is not used. Raises `InputError` if the DEM's middle is no place on its world
+    or lies far off the area of its projected CRS, if its datum is not known, and as `repair` and
+    `skyline.terrain.resampling.Warp`.
     """
     crs = mosaic.crs
     grid = mosaic.grid
@@ -123,7 +131,12 @@ def metric_dem(mosaic: "Mosaic", options: DemOptions) -> MetricDem:
 
 
 def _check_spacing(mosaic: "Mosaic", spacing_m: float) -> None:
-    """Raise `InputError` for samples so near that the map has another unit."""
+    """Raise `InputError` at a pole, and where the map has another unit."""
+    if not math.isfinite(spacing_m):
+        raise InputError(
+            f"{mosaic.source} has a pole in its middle, where a degree of longitude has no length; "
+            "warp it to a polar map (gdalwarp -t_srs EPSG:3413, in the south EPSG:3031)"
+        )
     if spacing_m < FINEST_M:
         raise InputError(
             f"{mosaic.source} has samples {1000.0 * spacing_m:.2g} mm apart in {mosaic.crs.name}; "
@@ -135,8 +148,9 @@ def _check_spacing(mosaic: "Mosaic", spacing_m: float) -> None:
 def _centre(mosaic: "Mosaic") -> tuple[float, float, str]:
     """Return a DEM's middle in degrees, and its accuracy in words.
 
-    Warns if the middle lies far off the area of the CRS; raises `InputError` if it is not a place
-    on its world.
+    Raises `InputError` if the middle is not a place on its world, if the datum is not known, or if
+    the middle lies far off the area of a projected CRS. Degrees of a regional datum are places
+    everywhere.
     """
     crs = mosaic.crs
     x, y = mosaic.grid.centre
@@ -146,14 +160,18 @@ def _centre(mosaic: "Mosaic") -> tuple[float, float, str]:
             f"{mosaic.source} has its middle at {x:.9g}, {y:.9g}, which is not a place in "
             f"{crs.name}; check its georeference and its coordinate reference system"
         )
-    if off_area_deg(crs, lon, lat) > FAR_DEG:
-        _log.warning(
-            "%s: its middle lies at %s, %s, far off the area for which %s is made; check its "
-            "coordinate reference system, and the signs and the order of its coordinates",
-            mosaic.source,
-            degrees_in_words(lat, "NS", 2),
-            degrees_in_words(lon, "EW", 2),
-            crs.name,
+    if is_unplaced(crs, accuracy):
+        raise InputError(
+            f"{mosaic.source} is in {crs.name}, and PROJ does not know how its datum lies to WGS "
+            "84: its places would be some 100 m off; name the CRS by its code (gdal_edit.py -a_srs "
+            "EPSG:..., --crs for files that name none), or give the datum's shift by +towgs84"
+        )
+    if crs.is_projected and off_area_deg(crs, lon, lat) > FAR_DEG:
+        raise InputError(
+            f"{mosaic.source} has its middle at {degrees_in_words(lat, 'NS', 2)}, "
+            f"{degrees_in_words(lon, 'EW', 2)}, far off the area for which {crs.name} is made; "
+            "correct its coordinate reference system (gdal_edit.py -a_srs), or the signs and the "
+            "order of its coordinates, or, if it lies there, warp it (gdalwarp -t_srs EPSG:4326)"
         )
     return lon, lat, accuracy
 

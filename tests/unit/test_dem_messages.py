@@ -271,6 +271,16 @@ class TestRasters:
         said = "in m by the band and in US survey foot by the vertical axis"
         assert_says(said, lambda: read_dem(both))
 
+    def test_whose_datum_is_not_known(self, tmp_path):
+        """MGI, on Bessel's ellipsoid, lies 100 m aside of WGS 84 in Austria."""
+        crs = "+proj=utm +zone=32 +ellps=bessel +units=m"
+        unknown = write_dem(tmp_path / "a.tif", ONES, crs)
+        assert_says("PROJ does not know how its datum lies to WGS 84", lambda: read_dem(unknown))
+        known = write_dem(tmp_path / "b.tif", ONES, f"{crs} +towgs84=577.3,90.1,463.9")
+        modern = write_dem(tmp_path / "c.tif", ONES, "+proj=utm +zone=32 +ellps=GRS80 +units=m")
+        for path in (known, modern):
+            assert read_dem(path).heights_m.shape == ONES.shape
+
     @pytest.mark.parametrize(
         ("crs", "corner", "said"),
         [
@@ -278,6 +288,9 @@ class TestRasters:
             ("EPSG:2985", (3e5, 2e5), "PROJ cannot transform"),
             ("EPSG:4326", (500_000.0, 5_200_000.0), "not a place in WGS 84"),
             (UTM, (1e9, 5e6), "not a place in WGS 84 / UTM zone 32N"),
+            # Easting and northing of a place in the Alps, swapped.
+            (UTM, (5.2e6, 5e5), r"at 3\.\d+° N, 4\d\.\d+° E, far off the area for which"),
+            ("EPSG:4326", (10.0, 90.0019), "has a pole in its middle"),
         ],
     )
     def test_whose_places_cannot_be_known(self, tmp_path, crs, corner, said):
@@ -486,7 +499,7 @@ class TestWarnings:
         assert "steeper" not in caplog.text
 
     def test_a_map_whose_axes_point_south(self, tmp_path, caplog):
-        corner = from_origin(-750_000.0, -1_040_000.0, 30.0, 30.0)
+        corner = from_origin(1_047_000.0, 738_000.0, 30.0, 30.0)
         heights = np.ones((50, 50), np.float32)
         read_dem(write_dem(tmp_path / "dem.tif", heights, "EPSG:5513", transform=corner))
         assert "south" in caplog.text
