@@ -47,6 +47,7 @@ from skyline.terrain.raster_files import (
     opened_raster,
     unpacked,
 )
+from skyline.terrain.repair import TALLEST_CANOPY_M
 
 UNDECLARED_VOIDS = (-32768.0, -9999.0)
 """Values that mark a void in DEMs that do not declare them as nodata."""
@@ -152,6 +153,7 @@ def array_tile(array: Any, default_crs: CRS | None) -> Tile:
             voids = np.zeros(band[rows].shape, dtype=np.bool_)
             for value in void_values:
                 voids |= band[rows] == value
+            _check_bits(source, band[rows], voids, vertical, scale)
             yield rows, _heights_of(source, band[rows], voids, scale, offset, metres)
 
     conventions = {**map_conventions(on_map), **vertical.conventions}
@@ -213,6 +215,7 @@ def _tile_of(
                 if alpha is not None:
                     # GDAL itself takes an alpha band for a mask only in some number types.
                     voids |= dataset.read(alpha, window=window) == 0
+                _check_bits(source, values.data, voids, vertical, scale)
                 yield rows, _heights_of(source, values.data, voids, scale, offset, metres)
 
     return Tile(source, on_map, grid, north_up, vertical, conventions, read, files)
@@ -296,6 +299,25 @@ def _height_band(source: str, dataset: Any) -> tuple[int, int | None]:
             "raster (gdal_grid)"
         )
     return band, alpha
+
+
+def _check_bits(
+    source: str, band: NDArray[Any], voids: BoolArray, vertical: Vertical, scale: float
+) -> None:
+    """Raise `InputError` for 8 bits that are no canopy and have no unit.
+
+    Canopy models may have 8 bits. A unit or a scale says that other values are heights.
+    """
+    if band.dtype != np.uint8 or vertical.unit != UNNAMED or scale != 1.0:
+        return
+    most = band[~voids].max(initial=0)
+    if most > TALLEST_CANOPY_M:
+        raise InputError(
+            f"{source} has 8 bits and values up to {most}, as a shaded relief, a mask or a picture "
+            "has; expected heights: give the elevation model; if the values are metres, say so "
+            f"(rio edit-info --bidx 1 --units m), and if {most} marks voids, declare that (rio "
+            f"edit-info --nodata {most})"
+        )
 
 
 def _heights_of(

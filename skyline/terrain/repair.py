@@ -29,6 +29,9 @@ from skyline.terrain.grid import STRIP_SAMPLES, row_strips
 ABSURD_M = 30_000.0
 """No known solid body has a height beyond this above or below its datum (Mars: +21.2, -8.2 km)."""
 
+TALLEST_CANOPY_M = 120.0
+"""Greatest height in a canopy model."""
+
 _AROUND = np.array([(r, c) for r in (-1, 0, 1) for c in (-1, 0, 1) if (r, c) != (0, 0)])
 _BESIDE = np.array([(-1, 0), (0, -1), (0, 1), (1, 0)])
 

@@ -13,6 +13,7 @@ from skyline.terrain.dem import Dem, read_dem
 from skyline.terrain.grid import row_strips
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.provenance import DemOptions
+from skyline.terrain.repair import TALLEST_CANOPY_M
 
 _log = logging.getLogger(__name__)
 
@@ -23,7 +24,7 @@ class SurfaceRules:
 
     unknown_m: float = 40.0
     """Height above ground that is assumed where a surface model has no height: tall trees."""
-    most_canopy_m: float = 120.0
+    most_canopy_m: float = TALLEST_CANOPY_M
     """Greatest height in a canopy model; a surface model of high ground has greater ones."""
     least_follow_share: float = 0.5
     """A model that rises by less than this share of the ground's rise is a canopy model."""

@@ -222,6 +222,13 @@ class TestRasters:
         path.write_text(text)
         assert_says(said, lambda: read_dem(path, options))
 
+    def test_of_a_shaded_relief(self, tmp_path):
+        canopy, relief = (np.full((4, 4), most, np.uint8) for most in (120, 121))
+        assert read_dem(write_dem(tmp_path / "a.tif", canopy)).heights_m.max() == 120.0
+        assert read_dem(in_unit(tmp_path / "b.tif", "m", relief)).heights_m.max() == 121.0
+        path = write_dem(tmp_path / "c.tif", relief)
+        assert_says("has 8 bits and values up to 121, as a shaded", lambda: read_dem(path))
+
     def test_with_a_scale_of_zero(self, tmp_path):
         path = write_dem(tmp_path / "a.tif", ONES)
         with rasterio.open(path, "r+") as dataset:
