@@ -59,6 +59,9 @@ degrees are not exact."""
 _DIMS = (("y", "x"), ("lat", "lon"), ("latitude", "longitude"), ("northing", "easting"))
 """Names of the dimensions of rows and columns."""
 
+_EASTWARD = {"longitude", "degrees_east", "degree_east", "degrees_E", "degree_E"}
+"""CF's names and units of longitudes."""
+
 _UNIT_TAGS = ("units", "unit", "unittype")
 """Names of the tags or attributes, in lower case, in which programs note the unit of heights."""
 
@@ -177,6 +180,8 @@ def _tile_of(
                 "header lacks a corner; name xllcorner and yllcorner in it, or xllcenter and "
                 "yllcenter, or convert the grid to GeoTIFF if it lies there"
             )
+        if dataset.driver == "netCDF" and crs.is_geographic:
+            _check_longitudes(source, dataset)
         # GDAL takes a netCDF file's uneven latitudes for even ones, and notes them here.
         noted = dataset.tags(ns="GEOLOCATION2").get("Y_VALUES", "")
         if latitudes := _NUMBER.findall(noted):
@@ -219,6 +224,31 @@ def _tile_of(
                 yield rows, _heights_of(source, values.data, voids, scale, offset, metres)
 
     return Tile(source, on_map, grid, north_up, vertical, conventions, read, files)
+
+
+def _check_longitudes(source: str, dataset: Any) -> None:
+    """Raise `InputError` unless the columns of a netCDF file are longitudes.
+
+    GDAL takes the last dimension for x, whatever its coordinates are.
+    """
+    named = (
+        name.partition("#")[0]
+        for name, text in dataset.tags().items()
+        if name.endswith(("#units", "#standard_name")) and text in _EASTWARD
+    )
+    step_deg = dataset.transform.a
+    first_deg = dataset.transform.c + 0.5 * step_deg
+    for name in dict.fromkeys(named):
+        with suppress(SkylineError), opened_raster(f"netcdf:{dataset.files[0]}:{name}") as axis:
+            ends_deg = axis.read(1).ravel()[[0, -1]] - first_deg
+            if np.abs((ends_deg + 180.0) % 360.0 - 180.0).min() > abs(step_deg):
+                break
+    else:
+        return
+    raise InputError(
+        f"{source} has the dimension {name} before its latitudes, and GDAL reads it mirrored at "
+        "the diagonal; expected latitude first: reorder the dimensions (ncpdq -a)"
+    )
 
 
 def _check_parts(source: str, parts: Sequence[str], default_crs: CRS | None) -> None:

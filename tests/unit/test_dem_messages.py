@@ -139,6 +139,21 @@ except InputError as error:
         said = "mercator.nc has coordinates along lat that are not even; resample it"
         assert_says(said, lambda: read_dem(tmp_path / "mercator.nc", DemOptions(crs="EPSG:4326")))
 
+    @pytest.mark.parametrize("dims", [("lat", "lon"), ("lon", "lat")])
+    def test_longitudes_before_latitudes(self, tmp_path, dims):
+        """The only summit stands at 46.7 N, 9.9 E."""
+        heights = np.zeros((10, 11), np.float32)
+        heights[7, 9] = 100.0
+        at = {"lat": 46.0 + 0.1 * np.arange(10), "lon": 9.0 + 0.1 * np.arange(11)}
+        array = xarray.DataArray(heights, at, ("lat", "lon"), name="z")
+        array.lat.attrs["units"], array.lon.attrs["units"] = "degrees_north", "degrees_east"
+        path, degrees = tmp_path / "dem.nc", DemOptions(crs="EPSG:4326")
+        array.transpose(*dims).to_netcdf(path, engine="scipy")
+        if dims == ("lon", "lat"):
+            assert_says("dimension lon before its latitudes", lambda: read_dem(path, degrees))
+        else:
+            assert read_dem(path, degrees).height_at(lon=9.9, lat=46.7) > 50.0
+
     def test_a_saved_field_that_is_cut_short(self, tmp_path):
         path = tmp_path / "dem.terrain"
         save_field(field_of(mountains()), path)
