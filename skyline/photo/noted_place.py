@@ -163,6 +163,8 @@ def _angle_deg(gps: Tags, name: str, tag: int, side_tag: int, sides: str, most_d
     angle_deg = known[0] + known[1] / 60.0 + known[2] / 3600.0
     if min(known) < 0.0 or max(known[1:]) > 60.0 or angle_deg > most_deg:
         raise _UnusableError(f"the {name} is outside 0 to {most_deg:g} degrees, 60', 60\"")
+    if any(part % 1.0 and any(known[k + 1 :]) for k, part in enumerate(known)):
+        raise _UnusableError(f"the {name} has decimals before a smaller part that is not 0")
     side = text_of(gps, side_tag)[:1]
     if side not in tuple(sides):
         raise _UnusableError(f"the {name} does not say whether it is {' or '.join(sides)}")

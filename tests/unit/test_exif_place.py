@@ -75,6 +75,9 @@ NO_LATITUDE = "the latitude is not given as degrees, minutes and seconds"
         (SOUTH_WEST | {GPS.GPSLongitude: (180.0, 0.0, 1.0)}, "the longitude is outside 0 to 180"),
         (SOUTH_WEST | {GPS.GPSLatitude: (IFDRational(0, 0),) * 3}, NO_LATITUDE),
         (SOUTH_WEST | {GPS.GPSLatitude: "33"}, NO_LATITUDE),
+        # Are these 33.51 degrees or 34.02?
+        (SOUTH_WEST | {GPS.GPSLatitude: (33.51, 30.0, 36.0)}, "the latitude has decimals before"),
+        (SOUTH_WEST | {GPS.GPSLatitude: (33.0, 30.6, 36.0)}, "the latitude has decimals before"),
         (SOUTH_WEST | {GPS.GPSStatus: b"V\0"}, "the receiver had no fix"),
         (SOUTH_WEST | {GPS.GPSHPositioningError: 2e4}, "it may be off by 20 km"),
         (SOUTH_WEST | {GPS.GPSMapDatum: "Atlantis 1900"}, "its datum 'ATLANTIS 1900' is not known"),
