@@ -71,23 +71,29 @@ def write_whole(path: Path, content: bytes | str) -> None:
     """Write a file whole or not at all.
 
     The path ``-`` is standard output. Missing folders are made, so that hours of work are not lost
-    to them. After a failure the file is as it was. A link stays, and its target is written; devices
-    and pipes are written, too. Raises `InputError` where the file cannot be written.
+    to them. After a failure the file and the folders are as they were. A link stays, and its target
+    is written; devices and pipes are written, too. Raises `InputError` where the file cannot be
+    written.
     """
     content = content.encode() if isinstance(content, str) else content
     if str(path) == STANDARD:
         sys.stdout.buffer.write(content)
         sys.stdout.buffer.flush()
         return
+    made = list[Path]()
     try:
         if path.is_char_device() or path.is_fifo():
             path.write_bytes(content)
         else:
             target = Path(os.path.realpath(path))
+            made = [one for one in target.parents if not one.exists()]
             target.parent.mkdir(parents=True, exist_ok=True)
             with appearing(target) as partial:
                 partial.write_bytes(content)
     except OSError as error:
+        with suppress(OSError):
+            for folder in made:
+                folder.rmdir()
         raise InputError(
             f"{path} cannot be written ({error.strerror}); name a file that can be made, on a "
             "disk with room"

@@ -1,5 +1,6 @@
 """Files that are written whole or not at all."""
 
+import errno
 import os
 from pathlib import Path
 from threading import Thread
@@ -15,6 +16,16 @@ def test_missing_folders_of_a_file_are_made(tmp_path):
     assert (tmp_path / "new" / "folder" / "a.csv").read_text() == "one"
     with pytest.raises(InputError, match="cannot be written"):
         write_whole(tmp_path / "new" / "folder" / "a.csv" / "b.csv", "two")
+
+
+def test_a_full_disk_keeps_no_new_folder(tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(InputError, match="No space left"):
+        write_whole(tmp_path / "new" / "folder" / "a.csv", "one")
+    assert not list(tmp_path.iterdir())
 
 
 def test_links_stay_and_pipes_are_written(tmp_path):
