@@ -5,6 +5,7 @@ They are given as arrays or in a CSV file.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,7 +22,7 @@ from skyline.arrays import (
     refuse_text,
 )
 from skyline.errors import InputError, OffMapError, one_line, printable, swapped_in_words
-from skyline.geodesy.bounds import are_degrees
+from skyline.geodesy.bounds import are_degrees, distance_in_words
 from skyline.geodesy.earth import GROUND_M
 from skyline.geodesy.map_frame import in_rectangle
 from skyline.skylines import HEADINGS
@@ -179,15 +180,18 @@ def position_on(
     if outside.size:
         first = outside[0]
         box = field.box_deg
+        away_m = _past_border_m(field, float(easting[first]), float(northing[first]))
+        # Far away a place may have no position on the map.
+        away = f"{distance_in_words(away_m)} " if math.isfinite(away_m) else ""
         remedy = "give another place, or a DEM that covers it"
         if not are_degrees(lon[first], lat[first]):
             remedy = "give degrees, not eastings and northings"
         elif is_on_map(field, *field.frame.from_lonlat(lat[first], lon[first])):
             remedy = swapped_in_words(lon[first], lat[first])
         raise OffMapError(
-            f"{_first_of(outside, len(lon))} at lon {lon[first]:.5f}, lat {lat[first]:.5f} is off "
-            f"the map; the DEM covers lon {box[0]:.4f} to {box[2]:.4f}, lat {box[1]:.4f} to "
-            f"{box[3]:.4f}: {remedy}"
+            f"{_first_of(outside, len(lon))} at lon {lon[first]:.5f}, lat {lat[first]:.5f} is "
+            f"{away}off the map; the corners of the DEM lie within lon "
+            f"{box[0]:.4f} to {box[2]:.4f}, lat {box[1]:.4f} to {box[3]:.4f}: {remedy}"
         )
     return easting, northing
 
@@ -295,6 +299,15 @@ def _onto_border(
     is_rounding = np.hypot(inside[0] - easting_m, inside[1] - northing_m) < _ROUNDING_M
     easting, northing = np.where(is_rounding, inside, (easting_m, northing_m))
     return easting, northing
+
+
+def _past_border_m(field: HeightField, easting_m: float, northing_m: float) -> float:
+    """Return how far a position lies outside a map."""
+    west, south, east, north = field.bounds_m
+    return math.hypot(
+        max(west - easting_m, easting_m - east, 0.0),
+        max(south - northing_m, northing_m - north, 0.0),
+    )
 
 
 def is_on_map(field: HeightField, easting_m: ArrayLike, northing_m: ArrayLike) -> BoolArray:

@@ -209,7 +209,7 @@ MISTAKES = [
     ("orient", "Missing argument 'PHOTO'; see `"),
     # Horizon
     ("horizon {dem}", "give positions as --at LON,LAT or as --viewpoints"),
-    ("horizon {dem} --at 7.0,46.8", "the place at lon 7.00000, lat 46.80000 is off"),
+    ("horizon {dem} --at 7.0,46.8", "the place at lon 7.00000, lat 46.80000 is 2"),
     ("horizon {dem} --at 9.8,95", "expected LON,LAT in degrees"),
     (
         "horizon {dem} --at 36.6,-118.3",

@@ -31,13 +31,14 @@ from rasterio.warp import Resampling, reproject
 from refusals import assert_says
 from scenes import FRAME, UTM, field_of, write_dem
 
-from skyline.errors import MissingFileError
+from skyline.errors import MissingFileError, OffMapError
 from skyline.geodesy.bounds import check_bounds
 from skyline.geodesy.map_frame import Frame
 from skyline.terrain.dem import read_dem
 from skyline.terrain.field_files import save_field
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.provenance import DemOptions
+from skyline.terrain.viewpoints import stand_at
 
 ONES = np.ones((4, 4), np.int16)
 IN_UTM = DemOptions(crs=UTM)
@@ -446,6 +447,14 @@ class TestArrays:
 def test_half_a_place_or_two(given):
     said = f"a place is given by {', '.join(given) or 'nothing'}; expected easting_m"
     assert_says(said, lambda: field_of(np.zeros((3, 3))).height_at(**given))
+
+
+def test_a_place_off_the_map_is_told_how_far():
+    """The map of 3 x 3 samples reaches 60 m to the east."""
+    lon, lat = FRAME.to_lonlat(160.0, -30.0)
+    said = "the place at .* is 100 m off the map; the corners of the DEM lie within lon"
+    field = field_of(np.zeros((3, 3)))
+    assert_says(said, lambda: stand_at(field, lon=lon, lat=lat), OffMapError)
 
 
 @pytest.mark.parametrize(
