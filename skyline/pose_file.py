@@ -15,6 +15,7 @@ from skyline.photo.photo import Photo, read_photo
 from skyline.photo.skyline import PhotoForm
 from skyline.photo.tags import positive
 from skyline.store.read import is_store
+from skyline.tables import is_table
 
 _FORM = ("projection", "width_px", "height_px")
 """The keys of `skyline.photo.skyline.PhotoSkyline.form`."""
@@ -75,6 +76,8 @@ def read_pose(path: Path, photo: Path) -> PoseRecord:
     if it has no such pose, or the pose of a photo with another name.
     """
     record = _record_of(_records_in(path), path, photo)
+    if isinstance(record, dict) and record.get("type") in {"FeatureCollection", "Feature"}:
+        raise InputError(f"pose {path} is GeoJSON, which draws poses on maps; {EXPECTED_RECORD}")
     _check_photo(record, path, photo)
     doubt = ""
     if isinstance(record, dict) and isinstance(record.get("candidates"), list):
@@ -131,6 +134,8 @@ def _records_in(path: Path) -> list[Any]:
     try:
         return [json.loads(text)]
     except (ValueError, RecursionError) as error:
+        if is_table(path):
+            raise InputError(f"pose {path} is a table; {EXPECTED_RECORD}") from None
         with suppress(ValueError, RecursionError):
             return [json.loads(line) for line in filter(str.strip, text.splitlines())]
         raise InputError(f"pose {path} is not JSON ({error}); {EXPECTED_RECORD}") from None

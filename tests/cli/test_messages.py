@@ -327,7 +327,7 @@ _POSED = '{"lon": 9, "lat": 46, "heading_deg": 1, "fov_deg": 60'
         ("[1, 2]", "bad.json has no pose; expected JSON"),
         (
             '{"type": "FeatureCollection"}',
-            "has no lon, lat, heading_deg, fov_deg; expected",
+            "bad.json is GeoJSON, which draws poses on maps; expected JSON as",
         ),
         ('{"candidates": []}', "is of a match that found no place; give another pose"),
         ('{"lon": 9, "lat": 46, "heading_deg": 1}', "has no fov_deg"),
@@ -358,6 +358,7 @@ def test_a_bad_pose_is_refused(run, dem, photo, tmp_path, text, message):
         ("photo", "photo.jpg is a binary file, as photos are; expected JSON as"),
         ("store", "store.h5 is a store; expected JSON as"),
         ("tmp", "cannot be read (Is a directory); expected JSON as"),
+        ("peaks", " is a table; expected JSON as"),
     ],
 )
 @pytest.mark.parametrize("command", ["label", "pixels"])
