@@ -29,7 +29,7 @@ from skyline.fetch.dem_tiles import SOURCES, fetch_dem, source_of
 from skyline.files import cache_folder, digest_of, lock_file, version_of
 from skyline.geodesy.bounds import Bounds, check_bounds, contains_box, width_deg
 from skyline.geodesy.earth import EARTH_RADIUS_M
-from skyline.geodesy.map_frame import TRUE_DEG, Frame, in_rectangle
+from skyline.geodesy.map_frame import TRUE_DEG, Frame
 from skyline.progress import Progress, Step
 from skyline.store.layout import SCHEMA_VERSION
 from skyline.store.places import PLACE_CODING
@@ -41,6 +41,7 @@ from skyline.terrain.field_files import FORMAT, SUFFIX, save_field
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.kept_models import remove_models
 from skyline.terrain.raster_files import files_of
+from skyline.terrain.viewpoints import is_on_map, swap_hint
 
 _SEEN_KM = 30.0
 """Distance past the area to which elevation is fetched. From valleys and slopes hardly any skyline
@@ -322,16 +323,16 @@ def _fetch(
 
 def _check_terrain(terrain: HeightField, area: Area, is_given: bool) -> None:
     """Refuse terrain that is all sea, or lacks an area's middle."""
-    rectangle_m = west, south, east, north = map_bounds(terrain, area.needed)
     lon = area.needed[0] + width_deg(area.needed) / 2.0
     lat = (area.needed[1] + area.needed[3]) / 2.0
-    easting_m, northing_m = terrain.frame.from_lonlat(lon, lat)
-    if not in_rectangle(rectangle_m, easting_m, northing_m):
+    if not is_on_map(terrain, *terrain.frame.from_lonlat(lon, lat)):
         covered = ",".join(f"{side:.4f}" for side in terrain.box_deg)
-        raise InputError(
-            f"the DEM covers {covered}, and not the place "
-            f"{lon:.4f},{lat:.4f}; give elevation of the place with --dem, or another --near"
+        place = np.round([[lon], [lat]], 4)
+        remedy = swap_hint(terrain, *place) or (
+            "; give elevation of the place with --dem, or another --near"
         )
+        raise InputError(f"the DEM covers {covered}, and not the place {lon:.4f},{lat:.4f}{remedy}")
+    west, south, east, north = map_bounds(terrain, area.needed)
     rows, cols = terrain.to_grid(easting_m=[west, east], northing_m=[north, south])
     top, bottom = np.rint(rows).astype(int)
     left, right = np.rint(cols).astype(int)

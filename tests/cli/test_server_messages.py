@@ -57,7 +57,11 @@ class TestLocate:
         [
             ("{photo}", "notes no position; say where to search: --near LON,LAT,KM"),
             (f"{{none}} --near {NEAR}", "does not exist"),
-            ("{photo} --near 7.5,46.5,1 --dem {dem}", "do not meet the DEM"),
+            (
+                "{photo} --near 7.5,46.5,1 --dem {dem}",
+                "not the place 7.5000,46.5000; give",
+            ),
+            ("{photo} --near 46.5,9.5,1 --dem {dem}", "to be swapped: give 9.5,46.5"),
             ("{photo} --near 8.99,46.5,2 --dem {dem}", "not the place 8.99"),
             (f"{{photo}} --near {NEAR} --dem {{sea}}", "nothing but sea or holes"),
             ("{photo} --near 9.5,46.5,1 --dem {empty}", "no elevation files"),
