@@ -58,7 +58,8 @@ class RepairRules:
     90 m and filled: heights were off by 14 m rms in voids of up to 10 samples, 31 m at 50 to 100,
     51 m at 200 to 500 and 295 m above 10,000."""
     min_fill_samples: int = 100
-    """The smallest fill."""
+    """The smallest fill whose rim is not all walls. Fill behind walls on all sides is larger than a
+    spike."""
     walled_share: float = 0.5
     """The least share of the rim of fill that is walls."""
     min_rim_samples: int = 20
@@ -230,10 +231,11 @@ def void_undeclared(
     """Turn voids that a file does not declare into declared ones.
 
     These are all samples marked -inf (a customary void value that the file does not name), and all
-    fill: connected samples of one value, at least ``rules.min_fill_samples`` of them, with walls on
-    ``rules.walled_share`` of their rim. A wall is a step up between neighbouring samples that is as
-    high as a spike (`remove_spikes`), at most ``rules.wall_reach_samples`` from the rim. Samples
-    between the rim and the highest wall are voids as well.
+    fill: connected samples of one value, more than a spike's with walls on all of their rim, or at
+    least ``rules.min_fill_samples`` with walls on ``rules.walled_share`` of it. A wall is a step up
+    between neighbouring samples that is as high as a spike (`remove_spikes`), at most
+    ``rules.wall_reach_samples`` from the rim. Samples between the rim and the highest wall are
+    voids as well.
 
     Returns the number of samples that became voids, and the constants found.
     """
@@ -458,8 +460,9 @@ def _remove_fill(heights_m: Float32Array, value: float, step_m: float, rules: Re
 
     has_value = heights_m == np.float32(value)
     patch, count = label(has_value)
-    is_large = np.bincount(patch.ravel()) >= rules.min_fill_samples
+    size = np.bincount(patch.ravel())
     removed = np.zeros(heights_m.shape, dtype=np.bool_)
+    sides_by_turn = []
     # Turned and flipped views of one array let the four sides of a patch be treated alike.
     for turned in (np.asarray, np.transpose):
         sides = []
@@ -474,7 +477,13 @@ def _remove_fill(heights_m: Float32Array, value: float, step_m: float, rules: Re
         has_wall = np.concatenate([wall > 0 for *_, wall in sides])
         rim = np.bincount(of_rim, minlength=count + 1)
         walls = np.bincount(of_rim[has_wall], minlength=count + 1)
-        is_fill = is_large & (rim >= rules.min_rim_samples) & (walls >= rules.walled_share * rim)
+        sides_by_turn.append((sides, rim, walls))
+    is_open = np.array([walls < rim for _, rim, walls in sides_by_turn]).any(axis=0)
+    is_enclosed = (size > rules.max_spike_samples) & ~is_open
+    for sides, rim, walls in sides_by_turn:
+        is_large = (size >= rules.min_fill_samples) & (rim >= rules.min_rim_samples)
+        is_fill = is_enclosed | (is_large & (walls >= rules.walled_share * rim))
+        is_fill[0] = False  # All other samples
         removed |= is_fill[patch]
         for view, of, row, col, wall in sides:
             for step in range(1, rules.wall_reach_samples):

@@ -135,6 +135,21 @@ def test_the_fill_of_a_turned_footprint_becomes_void(value):
     np.testing.assert_array_equal(np.isnan(heights), outside)
 
 
+def test_small_fill_behind_walls_on_all_sides_becomes_void():
+    # A slope that rises from 2,000 m, with zeros in place of 9 samples and of 35.
+    heights = np.tile(2000.0 + 5.0 * np.arange(60), (60, 1)).astype(np.float32)
+    heights[10:13, 20:23] = heights[40:45, 30:37] = 0.0
+    assert void_undeclared(heights, SPACING_M) == (9 + 35, [0.0])
+
+
+def test_water_in_a_gorge_stays():
+    # A river of one level, three samples wide and six long, between walls of 300 m.
+    heights = np.tile(1000.0 + 20.0 * np.arange(60)[:, np.newaxis], (1, 60)).astype(np.float32)
+    heights[:, 28:31] -= 300.0
+    heights[30:36, 28:31] = heights[30, 28]
+    assert void_undeclared(heights, SPACING_M) == (0, [])
+
+
 @pytest.mark.parametrize("level", [0.0, 1500.0])
 def test_water_stays(level):
     # A shore as steep as terrain gets at 30 m: 45 degrees all round, and a cliff on a fifth of it.
