@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import IO, Any, cast
 from zipfile import BadZipFile, ZipFile
 
+import numpy as np
 import rasterio
 from rasterio.enums import ColorInterp
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
@@ -41,6 +42,10 @@ _SETTINGS = {
 """GDAL's settings for reading heights."""
 _HGT_BYTES = {2 * side * side for side in (1201, 3601)}
 """Lengths of the .hgt tiles of 3 and of 1 arc-second."""
+_ASCII_HEADER = re.compile(
+    rb"\s*(?:ncols|nrows|[xy]ll(?:corner|center)|cellsize|dx|dy|nodata_value)\s+\S+", re.IGNORECASE
+)
+"""An entry of the header of an ESRI ASCII grid."""
 _SECRET = re.compile(r"(?<=://)[^/@\s]*@|\?[^\"'\s)]*")
 """A user with a password in an address, or its query."""
 _NO_ANSWER = re.compile(
@@ -157,6 +162,33 @@ def filled_share(source: str, dataset: Any) -> float:
     with unpacked(source) as content:
         lines = sum(block.count(b"\n") for block in iter(lambda: content.read(_BLOCK_BYTES), b""))
     return float(lines / (dataset.width * dataset.height))
+
+
+def check_count(source: str, dataset: Any) -> None:
+    """Raise `InputError` if a text grid has more values than noted.
+
+    GDAL reads them in order, whatever the lines, so the rows of such a grid would be sheared. Too
+    few values are an error of GDAL's own.
+    """
+    with unpacked(source) as content:
+        block = content.read(_BLOCK_BYTES)
+        begin = 0
+        while header := _ASCII_HEADER.match(block, begin):
+            begin = header.end()
+        block = block[begin:]
+        count = 0
+        before = False
+        while block:
+            is_text = np.frombuffer(block, dtype=np.uint8) > ord(" ")
+            count += int(np.count_nonzero(is_text[1:] & ~is_text[:-1]))
+            count += bool(is_text[0]) and not before
+            before = bool(is_text[-1])
+            block = content.read(_BLOCK_BYTES)
+    if count > dataset.width * dataset.height:
+        raise InputError(
+            f"{source} has {count} values, and its header says {dataset.width} x {dataset.height}; "
+            "correct ncols and nrows, or its rows are cut at wrong places"
+        )
 
 
 def bands_of(dataset: Any) -> tuple[list[int], int | None]:

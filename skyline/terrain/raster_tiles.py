@@ -42,6 +42,7 @@ from skyline.terrain.dem_files import no_dem
 from skyline.terrain.grid import Grid, row_strips
 from skyline.terrain.raster_files import (
     bands_of,
+    check_count,
     check_whole,
     filled_share,
     opened_raster,
@@ -212,6 +213,8 @@ def _tile_of(
             scale = dataset.scales[band - 1]
             offset = dataset.offsets[band - 1]
             metres = vertical.metres_per_unit
+            if dataset.driver == "AAIGrid" and is_file(on_disk(source)):
+                check_count(source, dataset)
             for rows in row_strips(dataset):
                 window = Window(0, rows.start, dataset.width, rows.stop - rows.start)
                 values = dataset.read(band, window=window, masked=True)

@@ -225,6 +225,11 @@ class TestRasters:
                 DemOptions(),
                 "--crs",
             ),
+            (
+                "ncols 2\nnrows 2\nxllcorner 5e5\nyllcorner 5e6\ncellsize 30\n1 2 3\n4 5 6\n",
+                IN_UTM,
+                "has 6 values, and its header says 2 x 2",
+            ),
             # GDAL reads these points as a grid with zeros between them.
             (
                 "".join(f"{x} {y} 5\n" for y in range(5) for x in (0, 1, 30, 47)),
