@@ -63,8 +63,10 @@ _DIMS = (("y", "x"), ("lat", "lon"), ("latitude", "longitude"), ("northing", "ea
 _EASTWARD = {"longitude", "degrees_east", "degree_east", "degrees_E", "degree_E"}
 """CF's names and units of longitudes."""
 
-_UNIT_TAGS = ("units", "unit", "unittype")
-"""Names of the tags or attributes, in lower case, in which programs note the unit of heights."""
+_UNIT_TAG = re.compile(r"(?:(?:vertical|elevation|height|z)[ _-]?)?unit(?:s|type)?", re.IGNORECASE)
+"""Names of the tags or attributes in which programs note the unit of heights."""
+_IN_BRACKETS = re.compile(r"[(\[]([^()\[\]]+)[)\]]\s*$")
+"""What a band's description ends with, as in ``Elevation (ft)``."""
 
 _VOID_ATTRS = ("_FillValue", "missing_value", "nodata", "nodatavals")
 """Attributes of arrays that give the value of voids: CF's, and those of odc-geo and of xarray's
@@ -192,7 +194,12 @@ def _tile_of(
             if name in {f"{dim}#units" for dims in _DIMS for dim in dims}:
                 _check_unit(source, name.removesuffix("#units"), unit, crs)
         tags = dataset.tags() | dataset.tags(band)
-        unit = dataset.units[band - 1] or _tagged_unit(tags) or _unit_beside(dataset.files)
+        unit = (
+            dataset.units[band - 1]
+            or _tagged_unit(tags)
+            or _described_unit(dataset.descriptions[band - 1] or "")
+            or _unit_beside(dataset.files)
+        )
         vertical = vertical_of(source, crs, unit, tags.get("positive", "up"))
         if dataset.driver == "VRT" and vertical.unit == UNNAMED:
             _check_parts(source, dataset.files[1:], default_crs)
@@ -280,8 +287,14 @@ def _tagged_unit(tags: Mapping[str, Any]) -> str:
     rioxarray writes an array's attributes as tags of its file, and none as the band's unit. A tag
     that names anything else than a length is not about heights.
     """
-    named = (str(tags[name]) for name in tags if str(name).casefold() in _UNIT_TAGS)
+    named = (str(tags[name]) for name in tags if _UNIT_TAG.fullmatch(str(name)))
     return next((unit for unit in named if metres_per(unit)), "")
+
+
+def _described_unit(description: str) -> str:
+    """Return the unit of length at the end of a band's description, or ""."""
+    found = _IN_BRACKETS.search(description)
+    return found[1] if found and metres_per(found[1]) else ""
 
 
 def _unit_beside(files: Sequence[str]) -> str:

@@ -123,13 +123,24 @@ def test_heights_are_in_the_unit_of_the_band(tmp_path, unit, metres):
     np.testing.assert_allclose(read_dem(path).heights_m, heights_m, rtol=3e-7)
 
 
-@pytest.mark.parametrize("name", ["units", "UNITTYPE"])
+@pytest.mark.parametrize("name", ["units", "UNITTYPE", "VERTICAL_UNITS", "z unit"])
 @pytest.mark.parametrize("bands", [(), (1,)])
 def test_a_band_without_a_unit_has_that_of_a_tag(tmp_path, name, bands):
     path = write_dem(tmp_path / "dem.tif", np.full((3, 3), 1000.0, np.float32))
     with rasterio.open(path, "r+") as dataset:
         dataset.update_tags(*bands, **{name: "feet"})
     np.testing.assert_allclose(read_dem(path).heights_m, 304.8, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("description", "metres"),
+    [("Elevation (ft)", 0.3048), ("dem [US survey foot]", US_FOOT_M), ("ft", 1.0), ("(5 m)", 1.0)],
+)
+def test_a_band_without_a_unit_has_that_of_its_description(tmp_path, description, metres):
+    path = write_dem(tmp_path / "dem.tif", np.full((3, 3), 1000.0, np.float32))
+    with rasterio.open(path, "r+") as dataset:
+        dataset.set_band_description(1, description)
+    np.testing.assert_allclose(read_dem(path).heights_m, 1000.0 * metres, rtol=1e-6)
 
 
 @pytest.mark.parametrize(("unit", "metres"), [("FEET", 0.3048), ("METERS", 1.0), ("NO", 1.0)])
