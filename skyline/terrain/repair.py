@@ -15,6 +15,7 @@ along half of a shore.
 """
 
 import logging
+import math
 from collections import Counter
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -74,6 +75,8 @@ class RepairRules:
     mountains, at 5 to 100 m, at most 3 % are so steep, and in feet taken for metres 16 to 49 %."""
     least_spacing_m: float = 10.0
     """Least spacing at which steps are slopes, not trees and houses."""
+    slope_spacing_m: float = 30.0
+    """Least spacing of the samples that are compared in a finer model."""
     least_area_m2: float = 25e6
     """Least area whose steps are counted: a smaller model may show little but one wall."""
     strips_for_slopes: int = 64
@@ -200,9 +203,12 @@ def _check_slopes(
 
     In feet taken for metres it is. Where the unit is named, a warning says so.
     """
-    is_small = heights_m.size * spacing_m**2 < rules.least_area_m2
-    if is_small or spacing_m < rules.least_spacing_m:
+    if heights_m.size * spacing_m**2 < rules.least_area_m2:
         return
+    if spacing_m < rules.least_spacing_m:
+        every = math.ceil(rules.slope_spacing_m / spacing_m)
+        heights_m = heights_m[::every, ::every]
+        spacing_m *= every
     strips = list(row_strips(heights_m, rules.cached_samples))
     steep = known = 0
     for rows in strips[:: max(1, len(strips) // rules.strips_for_slopes)]:

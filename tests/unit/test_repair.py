@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from scipy import ndimage
 
-from skyline.terrain.repair import RepairRules, fill_voids, remove_spikes
+from skyline.errors import InputError
+from skyline.terrain.repair import RepairRules, fill_voids, remove_spikes, repair
 
 SPACING_M = 30.0
 
@@ -16,6 +17,16 @@ SPACING_M = 30.0
 @pytest.fixture(params=[1 << 22, 60], ids=["one strip", "many strips"])
 def rules(request):
     return RepairRules(strip_samples=request.param)
+
+
+@pytest.mark.parametrize("spacing_m", [9.0, 30.0])
+def test_ridges_of_27_degrees_are_too_steep_in_feet(spacing_m):
+    """They rise by half of the distance, and in feet by 1.64 times the distance."""
+    across = np.abs(np.arange(600) % 120 - 60.0)
+    heights = np.tile(1000.0 + 0.5 * spacing_m * across, (600, 1)).astype(np.float32)
+    repair(heights.copy(), "metres", spacing_m)
+    with pytest.raises(InputError):
+        repair(heights / np.float32(0.3048), "feet", spacing_m)
 
 
 def rugged(rows=40, cols=50):
