@@ -22,6 +22,7 @@ All three describe the frame whose size the camera noted (`skyline.photo.frame`)
 its own frame in XMP (`skyline.photo.panorama`).
 """
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import timedelta
@@ -61,6 +62,8 @@ _COVERED_SD = 0.1
 ones."""
 _CAMERA_RAW = "http://ns.adobe.com/camera-raw-settings/1.0"
 """Namespace of the settings of Lightroom and Camera Raw."""
+_FISHEYE = re.compile("FISH-?EYE")
+"""A part of the names of lenses that are fisheyes, in capitals."""
 _MM_PER_UNIT = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
 """FocalPlaneResolutionUnit: inch (also if absent), centimetre, millimetre, micrometre."""
 
@@ -184,6 +187,9 @@ def camera_of(
     swept = swept_lens_of(tags, size_px)
     if swept is not None:
         return Projection.CYLINDRICAL, swept
+    if _FISHEYE.search(text_of(tags, Base.LensModel)):
+        reason = "EXIF names a fisheye as its lens, but not how wide the photo is"
+        return Projection.FISHEYE, Lens(reason=reason)
     if photo_px is None or not is_bordered(size_px, photo_px):
         return Projection.PERSPECTIVE, lens_of(tags, size_px, _was_cropped(xmp))
     # Where the noted size is the file's, it is not of the camera's frame.

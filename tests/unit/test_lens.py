@@ -73,6 +73,14 @@ def test_a_border_leaves_a_photo_its_field_of_view(size, photo, widened, is_note
     assert lens.most_fov_deg is None
 
 
+@pytest.mark.parametrize("name", ["AF Fisheye-Nikkor 16mm f/2.8D", "SAMYANG 8mm Fish-Eye"])
+def test_a_lens_named_a_fisheye_is_no_perspective_one(name):
+    tags = {Base.FocalLengthIn35mmFilm: 16, Base.LensModel: name}
+    projection, lens = camera_of(tags, Xmp(), (4000, 3000))
+    assert (projection, lens.fov_deg) == (Projection.FISHEYE, None)
+    assert camera_of(tags | {Base.LensModel: "16-35mm"}, Xmp(), (4000, 3000))[1].fov_deg is not None
+
+
 @pytest.mark.parametrize(("applied", "share"), [("True", 0.75), ("False", 1.0)])
 def test_a_crop_that_lightroom_notes_leaves_half_to_all_of_the_frame(applied, share):
     """28 mm on a frame of 4:3 see 63.4 degrees."""
