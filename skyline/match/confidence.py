@@ -16,8 +16,9 @@ side; :math:`u_f` is clipped at 4. Where it is known which way a figure is bette
 monotonic: a better fit never lowers the confidence. Products of figures were tried, and mislead on
 kinds of queries that were not learned from.
 
-The figures describe how well the best pose fits, its margin over all other answers, how unusual its
-camera is, and how much skyline there was to fit: a fit to too little of a skyline is never trusted.
+The figures describe how well the best pose fits, its odds against all other answers, its lead over
+them in retrieval, how unusual its camera is, how far off the skyline is, and how much of it there
+was to fit: a fit to too little of a skyline is never trusted.
 The camera's tilt is not a figure, since synthetic queries tilt less than photos do.
 """
 
