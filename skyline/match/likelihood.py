@@ -248,7 +248,7 @@ def likelihood(
     each += terrain_probability * (log_terrain - log_peak)
     half_chi2 = 0.5 * (weight * residual * (residual - explained)).sum(axis=1)
     return Likelihood(
-        cost=each @ trust + half_log_det + half_chi2 + _cost_of_share(trust * known, may_rise),
+        cost=each @ trust + half_log_det + half_chi2,
         half_chi2=half_chi2,
         terrain_probability=terrain_probability,
         trusted_probability=trust * terrain_probability,
@@ -327,14 +327,15 @@ def _bare_and_other_past_edge(
     )
 
 
-def _cost_of_share(trust: Float64Array, may_rise: BoolArray) -> Float64Array:
-    """Return what the choice of the share of risen columns costs each pose (M,).
+def cost_of_share(columns: Float64Array, temperature: float) -> Float64Array:
+    """Return what the choice of a share of risen columns costs (M,).
 
-    With n columns of which none is risen, the mean of the likelihood over all shares s up to the
-    greatest is about 1 / (1 + n s) of the one that is chosen, which a share of 0 gives.
+    Terrain past the data's edge may rise in so many trusted ``columns`` (M,). If it rises in none,
+    the share s has the likelihood (1 - s)^columns, whose power of 1 / temperature has a mean of
+    about 1 / (1 + columns s / temperature) over all shares up to the greatest. The share that is
+    chosen, 0, has 1.
     """
-    count = (trust * may_rise).sum(axis=1)
-    return np.asarray(np.log1p(_MODEL.beyond_share * count))
+    return np.asarray(temperature * np.log1p(_MODEL.beyond_share * columns / temperature))
 
 
 def density_without_terrain(residual_rad: Float64Array) -> Float64Array:

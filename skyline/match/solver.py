@@ -25,6 +25,7 @@ from skyline.match.eye_prior import EyeHeightPrior
 from skyline.match.likelihood import (
     HeightErrors,
     Likelihood,
+    cost_of_share,
     density_without_terrain,
     likelihood,
 )
@@ -496,6 +497,8 @@ class Solver:
         prior = 0.5 * fit.state**2 @ self._prior
         prior += _PRIORS.lens_weight * self.rays.lens.cost(fit.state[:, LOG_SCALE])
         prior += _PRIORS.terrain_weight * self._eye.cost(fit.state[:, EYE_HEIGHT])
+        may_rise = (errors.beyond_rad > 0.0) & np.isfinite(linear.residual_rad)
+        prior += cost_of_share(may_rise @ self.rays.weight, TEMPERATURE)
         if self._noted is not None:
             prior += TEMPERATURE * self._noted.cost(
                 linear.place_m, linear.eye_m, fit.state[:, HEADING]

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from skyline.match.likelihood import HeightErrors, likelihood
+from skyline.match.likelihood import HeightErrors, cost_of_share, likelihood
 from skyline.terrain.height_errors import HEIGHT_REACH_M
 
 
@@ -88,21 +88,27 @@ def test_terrain_past_the_edge_explains_what_stands_up_to_its_bound(off_deg, is_
     np.testing.assert_allclose(
         there.terrain_probability[0, 20:], without.terrain_probability[0, 20:], atol=0.02
     )
-    # Ten columns at a density of 0.3 in 2 degrees, where 0.15 in 15 was expected otherwise. The
-    # choice of their share costs log(1 + 0.3 x 10) = 1.39.
-    gained = without.cost[0] - there.cost[0] + 1.39
+    # Ten columns at a density of 0.3 in 2 degrees, where 0.15 in 15 was expected otherwise.
+    gained = without.cost[0] - there.cost[0]
     expected = 10.0 * np.log((0.7 * 0.01 + 0.15) / 0.01) if is_cheaper else 0.0
     assert gained == pytest.approx(expected, rel=0.1, abs=0.1)
 
 
-def test_a_skyline_in_front_of_all_terrain_past_the_edge_pays_for_one_choice_alone():
-    """The choice costs log(1 + 0.3 x 40) = 2.56; a prior in each column, 40 log(1 / 0.7) = 14.3."""
+def test_a_skyline_in_front_of_all_terrain_past_the_edge_pays_nothing_for_it():
+    """If each column had its prior by itself, forty of them would cost 40 log(1 / 0.7) = 14.3."""
     _, azimuth, distance = _setting()
     errors = HeightErrors.of(azimuth, np.full_like(distance, 5e4), 0.0 * distance, 6)
     residual = np.random.default_rng(6).normal(0.0, 0.0005, (1, 40))
     everywhere = replace(errors, beyond_rad=np.full((1, 40), np.radians(2.0)))
     without, there = (_converged(residual, some) for some in (errors, everywhere))
-    assert 2.56 < there.cost[0] - without.cost[0] < 2.66
+    assert 0.0 < there.cost[0] - without.cost[0] < 0.1
+
+
+def test_the_choice_of_a_share_costs_about_what_the_mean_over_all_shares_lacks():
+    """Of (1 - s)^(120 / 8) over shares s up to 0.3 the mean is (1 - 0.7^16) / (16 x 0.3)."""
+    cost = cost_of_share(np.array([0.0, 120.0]), 8.0)
+    assert cost[0] == 0.0
+    assert cost[1] == pytest.approx(8.0 * np.log(4.8), rel=0.1)
 
 
 @pytest.mark.parametrize("assumed", [0.5, 1.0, 1.7])
