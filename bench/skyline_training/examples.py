@@ -300,7 +300,8 @@ def _example(
     kind: str,
     searched_m: Rectangle,
 ) -> Example:
-    truth, best = query.truth, int(np.argmin(poses.cost))
+    best = int(np.argmin(poses.cost))
+    truth = query.truth
     off_m = float(truth.off_m(poses.easting_m[best], poses.northing_m[best]))
     turn_deg = float(angle_between_deg(poses.grid_heading_deg[best], truth.grid_heading_deg))
     return Example(
