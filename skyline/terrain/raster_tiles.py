@@ -66,7 +66,7 @@ _EASTWARD = {"longitude", "degrees_east", "degree_east", "degrees_E", "degree_E"
 _UNIT_TAG = re.compile(r"(?:(?:vertical|elevation|height|z)[ _-]?)?unit(?:s|type)?", re.IGNORECASE)
 """Names of the tags or attributes in which programs note the unit of heights."""
 _IN_BRACKETS = re.compile(r"[(\[]([^()\[\]]+)[)\]]\s*$")
-"""What a band's description ends with, as in ``Elevation (ft)``."""
+"""Text in brackets at the end of a band's description, as in ``Elevation (ft)``."""
 
 _VOID_ATTRS = ("_FillValue", "missing_value", "nodata", "nodatavals")
 """Attributes of arrays that give the value of voids: CF's, and those of odc-geo and of xarray's
@@ -177,18 +177,10 @@ def _tile_of(
         band, alpha = _height_band(source, dataset)
         crs = _crs_of(source, None if dataset.crs is None else dataset.crs.to_wkt(), default_crs)
         transform = dataset.transform
-        if dataset.driver == "AAIGrid" and transform.c == transform.f == 0.0:
-            raise InputError(
-                f"{source} has its upper left corner at 0, 0, where GDAL also places a grid whose "
-                "header lacks a corner; name xllcorner and yllcorner in it, or xllcenter and "
-                "yllcenter, or convert the grid to GeoTIFF if it lies there"
-            )
-        if dataset.driver == "netCDF" and crs.is_geographic:
-            _check_longitudes(source, dataset)
-        # GDAL takes a netCDF file's uneven latitudes for even ones, and notes them here.
-        noted = dataset.tags(ns="GEOLOCATION2").get("Y_VALUES", "")
-        if latitudes := _NUMBER.findall(noted):
-            _step(source, "lat", np.array(latitudes, dtype=np.float64))
+        if dataset.driver == "AAIGrid":
+            _check_corner(source, transform)
+        if dataset.driver == "netCDF":
+            _check_axes(source, dataset, crs)
         grid, north_up = _grid_of(source, transform, dataset.shape)
         for name, unit in dataset.tags().items():
             if name in {f"{dim}#units" for dims in _DIMS for dim in dims}:
@@ -234,6 +226,26 @@ def _tile_of(
                 yield rows, _heights_of(source, values.data, voids, scale, offset, metres)
 
     return Tile(source, on_map, grid, north_up, vertical, conventions, read, files)
+
+
+def _check_corner(source: str, transform: Affine) -> None:
+    """Raise `InputError` if the header of an ESRI ASCII grid may lack a corner."""
+    if transform.c == transform.f == 0.0:
+        raise InputError(
+            f"{source} has its upper left corner at 0, 0, where GDAL also places a grid whose "
+            "header lacks a corner; name xllcorner and yllcorner in it, or xllcenter and "
+            "yllcenter, or convert the grid to GeoTIFF if it lies there"
+        )
+
+
+def _check_axes(source: str, dataset: Any, crs: CRS) -> None:
+    """Raise `InputError` if a netCDF file's axes are not the ones that GDAL takes."""
+    if crs.is_geographic:
+        _check_longitudes(source, dataset)
+    # GDAL takes uneven latitudes for even ones, and notes them here.
+    noted = dataset.tags(ns="GEOLOCATION2").get("Y_VALUES", "")
+    if latitudes := _NUMBER.findall(noted):
+        _step(source, "lat", np.array(latitudes, dtype=np.float64))
 
 
 def _check_longitudes(source: str, dataset: Any) -> None:
