@@ -225,9 +225,9 @@ class Orienter(Closeable):
         return Standing.of_noted(noted, ground)
 
     def _relief_m(self, away_m: float) -> float:
-        """Return the rms difference of the ground's heights from the place's.
+        """Return how far the ground's heights deviate from the place's, rms.
 
-        The heights are the place's own and those of a ring around it.
+        The ground is taken at the place and on a ring ``away_m`` around it.
         """
         ground_m = self._around(away_m).eye_elevation_m - DEFAULT_EYE_HEIGHT_M
         return math.sqrt(np.mean((ground_m - self._ground_m) ** 2))

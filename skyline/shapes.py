@@ -18,7 +18,7 @@ EXPECTED = (
     "expected points, lines or polygons: GeoJSON, LabelMe, COCO or SVG of the photo, or GeoJSON, "
     "GPX or a GeoPackage of the map"
 )
-"""What a file of vectors is, for errors."""
+"""The files of vectors that are read, as errors name them."""
 CORNER_PX = 0.5
 """LabelMe, COCO, SVG and QGIS count pixels from the photo's corner; here pixel centres are at whole
 numbers."""

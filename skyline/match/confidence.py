@@ -31,6 +31,7 @@ import numpy as np
 
 from skyline.arrays import BoolArray, Float64Array
 from skyline.camera import level
+from skyline.match.likelihood import GREATEST_LOG_ODDS
 from skyline.match.rays import Rays
 from skyline.match.solver import TEMPERATURE
 from skyline.pose import (
@@ -69,7 +70,7 @@ class _FigureLimits:
     """Greater margins count as this. Models learned with limits of up to 1,000 are no better, since
     the margins of queries from other regions can reach 124."""
     greatest_lead: float = 2.0
-    """Greater leads in retrieval count as this, ahead or behind."""
+    """Greater leads in retrieval count as this, ahead or behind, in expected errors of a ray."""
     least_weight: float = 1e-9
     """Least likelihood, as a share of the best pose's: odds are no greater than its inverse."""
     camera_deviations: float = 4.0
@@ -124,7 +125,9 @@ class Logistic:
         """Return probabilities (M,) from figures (M,) by name; see `segments`."""
         slope = np.reshape(self.slope, (len(self.names), len(BENDS) + 1))
         logit = self.bias + np.einsum("mfs,fs->m", self.segments(figures), slope)
-        return np.asarray(1.0 / (1.0 + np.exp(-np.clip(logit, -50.0, 50.0))))
+        return np.asarray(
+            1.0 / (1.0 + np.exp(-np.clip(logit, -GREATEST_LOG_ODDS, GREATEST_LOG_ODDS)))
+        )
 
 
 def refined_figures(poses: Poses, found: Poses, rays: Rays) -> dict[str, Float64Array]:
@@ -135,7 +138,7 @@ def refined_figures(poses: Poses, found: Poses, rays: Rays) -> dict[str, Float64
     retrieved poses are one place, there is no rival, and the odds are even.
 
     The skyline of another region can be bent to fit some place well, but seldom resembles that
-    place in retrieval. So the lead counts, too, that the best pose's place had in retrieval.
+    place in retrieval. So it counts, too, how far the best pose's place led in retrieval.
     """
     best = poses[int(np.argmin(poses.cost))]
     widest_m = found.distances_m().max(initial=0.0)

@@ -328,12 +328,12 @@ def _bare_and_other_past_edge(
 
 
 def cost_of_share(columns: Float64Array, temperature: float) -> Float64Array:
-    """Return what the choice of a share of risen columns costs (M,).
+    """Return what it costs each pose (M,) to choose its own share.
 
-    Terrain past the data's edge may rise in so many trusted ``columns`` (M,). If it rises in none,
-    the share s has the likelihood (1 - s)^columns, whose power of 1 / temperature has a mean of
-    about 1 / (1 + columns s / temperature) over all shares up to the greatest. The share that is
-    chosen, 0, has 1.
+    A share s says in how much of a pose's open ``columns`` (M,), weighed by trust, terrain past
+    the data's edge rises. Where it rises in none, each share has the likelihood (1 - s)^columns.
+    With all shares up to the greatest equally likely, the mean of this likelihood to the power of
+    1 / temperature is about 1 / (1 + columns s / temperature); the chosen share, 0, has 1.
     """
     return np.asarray(temperature * np.log1p(_MODEL.beyond_share * columns / temperature))
 

@@ -45,7 +45,7 @@ def test_a_smooth_skyline_is_found_whatever_the_roll(roll_deg):
 
 @pytest.mark.parametrize(("height", "gain"), [(1.0, 1), (0.1, 2)])
 def test_flat_skylines_are_compared_at_a_greater_gain(height, gain):
-    """The curve's rises deviate by 0.71 degrees, and those of a tenth of its height by 0.07."""
+    """The rises deviate by 0.71 degrees, or by 0.07 where the curve is a tenth as high."""
     u, v = photo(lambda azimuth: height * curve(7, azimuth), 100.0)
     assert gain_of(equally_trusted(u, v, 60.0)) == gain
 
