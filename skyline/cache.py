@@ -270,7 +270,8 @@ def _seen_from(bounds_deg: Bounds) -> Bounds:
 def _km2(bounds_deg: Bounds) -> float:
     _, south, _, north = bounds_deg
     height, width = math.radians(north - south), math.radians(width_deg(bounds_deg))
-    radius_km, middle = EARTH_RADIUS_M / 1e3, math.radians((south + north) / 2.0)
+    radius_km = EARTH_RADIUS_M / 1e3
+    middle = math.radians((south + north) / 2.0)
     return radius_km**2 * height * width * math.cos(middle)
 
 

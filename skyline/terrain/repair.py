@@ -201,7 +201,8 @@ def _check_slopes(
 ) -> None:
     """Raise `InputError` for ground that is steeper than any.
 
-    In feet taken for metres it is. Where the unit is named, a warning says so.
+    Heights in feet that are taken for metres make such ground. Where the unit is named, there is a
+    warning in place of the error.
     """
     if heights_m.size * spacing_m**2 < rules.least_area_m2:
         return
