@@ -1,5 +1,5 @@
-from .camera import Camera as Camera
-from .camera import Projection as Projection
+from .camera.camera import Camera as Camera
+from .camera.projection import Projection as Projection
 from .errors import BuildError as BuildError
 from .errors import ContextError as ContextError
 from .errors import FetchError as FetchError

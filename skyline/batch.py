@@ -15,7 +15,7 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from skyline.camera import Projection
+from skyline.camera.projection import Projection
 from skyline.errors import InputError, SkylineError
 from skyline.files import REPORT_PAGE, STANDARD, is_own_page, read_bytes, version_of
 from skyline.match.config import MatchConfig

@@ -15,7 +15,9 @@ import numpy as np
 
 from skyline.angles import wrapped_deg
 from skyline.arrays import BoolArray, Float64Array
-from skyline.camera import MIN_FOV_DEG, MOST_DISTORTION, Camera
+from skyline.camera.camera import Camera
+from skyline.camera.projection import MIN_FOV_DEG
+from skyline.camera.warps import MOST_DISTORTION
 from skyline.errors import InputError, OffMapError, printable
 from skyline.ground import GroundErrors
 from skyline.match.rays import Rays

@@ -15,7 +15,7 @@ from scipy.special import chdtrc
 
 from skyline.angles import angle_between_deg
 from skyline.arrays import Float64Array
-from skyline.camera import Pixel
+from skyline.camera.pixels import Pixel
 from skyline.errors import InputError
 from skyline.geodesy.earth import Curvature
 from skyline.photo.skyline import PhotoForm

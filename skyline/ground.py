@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from skyline.arrays import BoolArray, Float64Array, Rows
-from skyline.camera import Camera
+from skyline.camera.camera import Camera
 from skyline.errors import InputError
 from skyline.geodesy.earth import Curvature
 from skyline.pose import ellipse_axes

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from skyline.arrays import BoolArray, Float64Array
-from skyline.camera import in_picture
+from skyline.camera.pixels import in_picture
 from skyline.errors import InputError
 from skyline.geodesy.map_frame import Frame
 from skyline.ground import GroundErrors, GroundPixels, GroundPoints, GroundView

@@ -5,7 +5,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from skyline.camera import MOST_DISTORTION, WANDER_DEGREES, Projection
+from skyline.camera.projection import Projection
+from skyline.camera.warps import MOST_DISTORTION, WANDER_DEGREES
 from skyline.errors import InputError
 from skyline.geodesy.bounds import are_degrees
 from skyline.pose_errors import WARP

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from skyline.arrays import BoolArray, Float64Array
-from skyline.camera import in_picture
+from skyline.camera.pixels import in_picture
 from skyline.errors import InputError, check_suffix, printable
 from skyline.files import write_whole
 from skyline.geodesy.bounds import are_degrees

@@ -9,7 +9,7 @@ import numpy as np
 
 from skyline.angles import angle_between_deg
 from skyline.arrays import BoolArray, Complex128Array, Float64Array, IntArray, Rows
-from skyline.camera import Camera
+from skyline.camera.camera import Camera
 from skyline.geodesy.map_frame import Frame, geodesic_m
 from skyline.photo.skyline import PhotoForm
 from skyline.pose_errors import ANGLES, ASSUMED
@@ -67,7 +67,7 @@ class Pose:
         ``(1 + k * (r**2 - 1)) * r``. 0 for a panorama, and where the pose was not refined.
     wander : tuple of float
         How the rows of a panorama wander, as tangents of the elevation, for each of the ways of
-        `skyline.camera.wander_ways`; empty for a lens, and where it is not known.
+        `skyline.camera.warps.wander_ways`; empty for a lens, and where it is not known.
     easting_m, northing_m : float
         The same place in the store's frame.
     eye_elevation_m : float

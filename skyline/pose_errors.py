@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from skyline.arrays import Float64Array, Rows
-from skyline.camera import MAX_PANORAMA_DEG, Camera
+from skyline.camera.camera import Camera
+from skyline.camera.projection import MAX_PANORAMA_DEG
 
 EAST, NORTH, UP, HEADING, PITCH, ROLL, LOG_SCALE, WARP = range(8)
 """Unknowns of a pose, in the order of the rows of `skyline.pose.Pose.covariance`: metres, radians,

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from skyline.camera import Projection
+from skyline.camera.projection import Projection
 from skyline.errors import InputError, printable
 from skyline.files import is_name_of, read_bytes
 from skyline.noted_pose import EXPECTED_RECORD, NotedPose, noted_projection

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from skyline.arrays import Float64Array
-from skyline.camera import in_picture
+from skyline.camera.pixels import in_picture
 from skyline.errors import InputError, printable
 from skyline.files import is_name_of
 

@@ -17,7 +17,7 @@ from scipy.linalg import block_diag
 
 from skyline.angles import wrapped_deg
 from skyline.arrays import Float64Array
-from skyline.camera import Pixel
+from skyline.camera.pixels import Pixel
 from skyline.errors import InputError
 from skyline.ground import GroundErrors, GroundPoints, GroundView
 from skyline.photo.skyline import PhotoForm

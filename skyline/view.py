@@ -16,7 +16,7 @@ import numpy as np
 
 from skyline.angles import angle_between_deg, wrapped_deg
 from skyline.arrays import BoolArray, Float64Array, ShortRepr
-from skyline.camera import in_picture
+from skyline.camera.pixels import in_picture
 from skyline.errors import InputError
 from skyline.geodesy.earth import Curvature
 from skyline.ground import GroundView

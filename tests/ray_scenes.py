@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from skyline.camera import Projection
+from skyline.camera.projection import Projection
 from skyline.match.rays import Rays
 from skyline.pose import Poses
 from skyline.render.horizon import HorizonRenderer, RenderConfig

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from PIL import Image
 
-from skyline.camera import Projection
+from skyline.camera.projection import Projection
 from skyline.errors import InputError
 from skyline.photo.skyline import PhotoSkyline
 from skyline.photo.trace import write_trace

@@ -14,7 +14,7 @@ import numpy as np
 from scipy import ndimage
 
 from skyline.arrays import Float32Array, Float64Array, UInt8Array
-from skyline.camera import undistorted
+from skyline.camera.warps import undistorted
 from skyline.geodesy.map_frame import Frame
 from skyline.render.depth import DepthRenderer
 from skyline.terrain.heightfield import HeightField

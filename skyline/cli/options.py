@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Argument, Option
 
 from skyline.cache import store_of
-from skyline.camera import Projection
+from skyline.camera.projection import Projection
 from skyline.errors import InputError, numbers_in, swapped_in_words
 from skyline.geodesy.bounds import are_degrees
 from skyline.geodesy.earth import DEFAULT_REFRACTION_K

@@ -8,7 +8,8 @@ from typing import Annotated
 from typer import Argument, Option
 
 from skyline.batch import Entry
-from skyline.camera import Pixel, Projection
+from skyline.camera.pixels import Pixel
+from skyline.camera.projection import Projection
 from skyline.cli.options import PEAKS_VARIABLE, bounds_option, panel, parse_bounds
 from skyline.errors import InputError, numbers_in
 from skyline.geodesy.bounds import Circle

@@ -30,7 +30,7 @@ from importlib import resources
 import numpy as np
 
 from skyline.arrays import BoolArray, Float64Array
-from skyline.camera import level
+from skyline.camera.levelling import level
 from skyline.match.likelihood import GREATEST_LOG_ODDS
 from skyline.match.rays import Rays
 from skyline.match.solver import TEMPERATURE

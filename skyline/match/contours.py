@@ -36,7 +36,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, IntArray, Rows, UInt8Array
-from skyline.camera import Projection
+from skyline.camera.projection import Projection
 from skyline.geodesy.earth import Curvature
 from skyline.match.solver import TEMPERATURE
 from skyline.photo.image import made_smaller

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, FloatArray
-from skyline.camera import near_level_changes
+from skyline.camera.levelling import near_level_changes
 from skyline.match.rays import REFERENCE_FOV_DEG, Rays
 from skyline.pose import Poses
 from skyline.store.places import BINS, Places

@@ -25,7 +25,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from skyline.arrays import Float64Array
-from skyline.camera import MAX_FISHEYE_DEG, MAX_PANORAMA_DEG, Projection
+from skyline.camera.projection import MAX_FISHEYE_DEG, MAX_PANORAMA_DEG, Projection
 from skyline.match.lens_prior import LensPrior
 from skyline.match.likelihood import GREATEST_LOG_ODDS
 from skyline.match.rays import Rays, in_runs, usual_distortion_sd

@@ -6,7 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from skyline.arrays import Float64Array, IntArray
-from skyline.camera import WANDER_DEGREES, ImagePoints, Projection, level
+from skyline.camera.image_points import ImagePoints
+from skyline.camera.levelling import level
+from skyline.camera.projection import Projection
+from skyline.camera.warps import WANDER_DEGREES
 from skyline.errors import InputError
 from skyline.match.lens_prior import LensPrior
 from skyline.photo.skyline import Lens, PhotoSkyline
@@ -61,7 +64,7 @@ class Rays(ImagePoints):
     """How likely the fields of view in that range are."""
     distortion_sd: float = 0.0
     """Standard deviation of the lens's distortion about 0; 0 for a panorama, and for a lens without
-    distortion. See `skyline.camera.undistorted`."""
+    distortion. See `skyline.camera.warps.undistorted`."""
 
     @classmethod
     def of(cls, photo: PhotoSkyline, fov_sd_share: float, *, finds_fov: bool) -> "Rays":

@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from skyline.arrays import Complex128Array, Float64Array, IntArray, Rows
-from skyline.camera import MOST_DISTORTION
+from skyline.camera.warps import MOST_DISTORTION
 from skyline.match.eye_prior import EyeHeightPrior
 from skyline.match.likelihood import (
     HeightErrors,

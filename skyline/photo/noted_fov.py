@@ -31,7 +31,7 @@ from math import degrees, exp, hypot, log, radians, sin, sqrt
 
 from PIL.ExifTags import Base
 
-from skyline.camera import MIN_FOV_DEG, Projection
+from skyline.camera.projection import MIN_FOV_DEG, Projection
 from skyline.photo.frame import (
     CROP,
     Size,

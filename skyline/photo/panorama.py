@@ -5,7 +5,7 @@ from math import degrees, sqrt
 
 from PIL.ExifTags import Base
 
-from skyline.camera import MAX_PANORAMA_DEG, MIN_FOV_DEG, Projection
+from skyline.camera.projection import MAX_PANORAMA_DEG, MIN_FOV_DEG, Projection
 from skyline.photo.frame import CROP, cropped_width, is_unscaled, is_whole
 from skyline.photo.skyline import Lens
 from skyline.photo.tags import Tags, positive

@@ -11,7 +11,7 @@ from PIL import Image, ImageOps
 from PIL.ExifTags import IFD, Base
 
 from skyline.arrays import ShortRepr, UInt8Array, refuse_text
-from skyline.camera import Projection
+from skyline.camera.projection import Projection
 from skyline.errors import InputError
 from skyline.photo.borders import content_of
 from skyline.photo.image import (

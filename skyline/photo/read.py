@@ -9,7 +9,7 @@ import numpy as np
 from PIL.Image import Image
 
 from skyline.arrays import UInt8Array
-from skyline.camera import Projection
+from skyline.camera.projection import Projection
 from skyline.errors import InputError, numbers_of
 from skyline.photo.extract import extract_skyline
 from skyline.photo.image import Picture

@@ -9,7 +9,8 @@ from typing import Protocol
 import numpy as np
 
 from skyline.arrays import BoolArray, Float64Array, UInt8Array, refuse_text
-from skyline.camera import MIN_FOV_DEG, Projection, from_middle
+from skyline.camera.pixels import from_middle
+from skyline.camera.projection import MIN_FOV_DEG, Projection
 from skyline.errors import InputError
 from skyline.photo.noted_place import NOTHING_NOTED, NotedPlace
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from skyline.arrays import Float64Array
-from skyline.camera import Projection
+from skyline.camera.projection import Projection
 from skyline.errors import InputError, check_suffix
 from skyline.files import write_whole
 from skyline.photo.skyline import Lens, PhotoSkyline

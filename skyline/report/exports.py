@@ -24,7 +24,7 @@ import cv2
 import numpy as np
 
 from skyline.arrays import Float64Array, UInt8Array
-from skyline.camera import Projection
+from skyline.camera.projection import Projection
 from skyline.errors import InputError, printable, suffix_of
 from skyline.files import STANDARD, write_whole
 from skyline.geodesy.antimeridian import lonlat_rings

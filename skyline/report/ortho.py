@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array
-from skyline.camera import Camera
+from skyline.camera.camera import Camera
 from skyline.errors import InputError, suffix_of
 from skyline.files import write_whole
 from skyline.geodesy.cell_grid import CellGrid

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from skyline.camera import Pixel
+from skyline.camera.pixels import Pixel
 from skyline.crossing import Crossing, Ray, check_enough, cross
 from skyline.errors import InputError
 from skyline.pose_file import read_posed

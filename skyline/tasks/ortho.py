@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from skyline.camera import Projection
+from skyline.camera.projection import Projection
 from skyline.errors import InputError, suffix_of
 from skyline.files import check_outputs, on_disk
 from skyline.pose_file import read_posed

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from skyline.camera import Projection
+from skyline.camera.projection import Projection
 from skyline.errors import InputError
 from skyline.geodesy.earth import Curvature
 from skyline.horizons import horizons_of, with_photo

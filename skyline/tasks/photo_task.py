@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from skyline.camera import Projection
+from skyline.camera.projection import Projection
 from skyline.errors import InputError
 from skyline.noted_pose import NotedPose
 from skyline.photo.photo import Photo, read_photo

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from ray_scenes import hills
 from scenes import field_of, fractal
 
-from skyline.camera import level, undistorted
+from skyline.camera.levelling import level
+from skyline.camera.warps import undistorted
 from skyline.photo.noted_fov import NOMINAL_SD
 from skyline.photo.skyline import PhotoSkyline
 from skyline.render.depth import DepthRenderer

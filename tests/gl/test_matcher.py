@@ -12,7 +12,7 @@ from scenes import NORTH_M, WEST_M, at_deg
 
 from skyline import MatchConfig, Matcher, Narrowing, build_places, horizon
 from skyline.angles import angle_between_deg
-from skyline.camera import Projection
+from skyline.camera.projection import Projection
 from skyline.errors import InputError
 from skyline.match import search
 from skyline.match.prior import NOTHING_KNOWN

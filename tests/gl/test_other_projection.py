@@ -7,7 +7,7 @@ from test_matcher import MIDDLE, SHARP
 from test_orient import beside
 
 from skyline import Matcher, build_places, orient
-from skyline.camera import Projection
+from skyline.camera.projection import Projection
 from skyline_bench.queries.pinhole import CYLINDER, FISHEYES, PIN_HOLE
 from skyline_bench.queries.synthetic import make_queries
 

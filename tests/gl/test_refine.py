@@ -7,7 +7,7 @@ import pytest
 from ray_scenes import photographed_from, poses, rays_of
 from scenes import field_of, fractal
 
-from skyline.camera import distorted
+from skyline.camera.warps import distorted
 from skyline.match.narrowing import Narrowing
 from skyline.match.prior import Prior
 from skyline.match.refine import WHOLE, Refinement

@@ -8,16 +8,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from skyline.camera import (
-    Camera,
-    ImagePoints,
-    Projection,
-    distorted,
-    level,
-    near_level_changes,
-    project,
-    undistorted,
-)
+from skyline.camera.camera import Camera
+from skyline.camera.image_points import ImagePoints
+from skyline.camera.levelling import level, near_level_changes, project
+from skyline.camera.projection import Projection
+from skyline.camera.warps import distorted, undistorted
 from skyline.photo.skyline import PhotoSkyline
 
 LENS, CYLINDER, SPHERE = Projection.PERSPECTIVE, Projection.CYLINDRICAL, Projection.EQUIRECTANGULAR

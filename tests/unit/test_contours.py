@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scenes import candidate_at, field_of, fractal
 
-from skyline.camera import Projection
+from skyline.camera.projection import Projection
 from skyline.geodesy.earth import Curvature
 from skyline.match.contours import weighed_by_contours
 from skyline.photo.skyline import PhotoSkyline

@@ -10,7 +10,7 @@ from PIL.ExifTags import Base
 from scenes import candidate_at, field_of, fractal
 
 from skyline.angles import angle_between_deg
-from skyline.camera import Projection
+from skyline.camera.projection import Projection
 from skyline.control_points import KnownCamera, PointErrors, fit_points
 from skyline.errors import InputError, MissingFileError, OffMapError
 from skyline.photo.photo import read_photo

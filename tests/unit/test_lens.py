@@ -5,7 +5,7 @@ import pytest
 from PIL.ExifTags import Base
 from PIL.TiffImagePlugin import IFDRational
 
-from skyline.camera import Projection
+from skyline.camera.projection import Projection
 from skyline.match.rays import Rays
 from skyline.photo.noted_fov import camera_of, lens_of
 from skyline.photo.panorama import GPANO, panorama_of_xmp, swept_lens_of

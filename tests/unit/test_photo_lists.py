@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from skyline.batch import Entry, entries_of
-from skyline.camera import Projection
+from skyline.camera.projection import Projection
 from skyline.errors import InputError
 
 

@@ -13,7 +13,7 @@ from refusals import assert_says
 from scenes import field_of
 
 from skyline import Correction, NotedPlace, NotedPose, Photo, Viewer
-from skyline.camera import Projection
+from skyline.camera.projection import Projection
 from skyline.errors import InputError, MissingFileError, OffMapError
 from skyline.match.areas import paths_of
 from skyline.match.narrowing import Narrowing

@@ -6,7 +6,7 @@ from PIL import Image
 from PIL.ExifTags import IFD, Base
 from xmp_packets import ATTRIBUTES, xmp_packet
 
-from skyline.camera import Projection
+from skyline.camera.projection import Projection
 from skyline.photo.read import read_skyline
 from skyline.photo.skyline import PhotoSkyline
 from skyline.photo.trace import write_trace

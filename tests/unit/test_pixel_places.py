@@ -9,7 +9,7 @@ import rasterio
 from rasterio.errors import NotGeoreferencedWarning
 from scenes import candidate_at, field_from, field_of, fractal
 
-from skyline.camera import Projection
+from skyline.camera.projection import Projection
 from skyline.errors import InputError, OffMapError
 from skyline.geodesy.earth import Curvature
 from skyline.photo.skyline import PhotoSkyline

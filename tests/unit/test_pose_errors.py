@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scenes import candidate_at
 
-from skyline.camera import Projection
+from skyline.camera.projection import Projection
 from skyline.photo.skyline import PhotoSkyline
 from skyline.pose_errors import ASSUMED, Bearings
 

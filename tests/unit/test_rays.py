@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from ray_scenes import equally_trusted
 
-from skyline.camera import Projection
+from skyline.camera.projection import Projection
 from skyline.errors import InputError
 from skyline.match.rays import Rays
 from skyline.photo.skyline import PhotoSkyline

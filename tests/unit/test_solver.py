@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from ray_scenes import hills, panorama_of, poses, rays_of, seen, swept
 
-from skyline.camera import Projection, distorted, wander_ways
+from skyline.camera.projection import Projection
+from skyline.camera.warps import distorted, wander_ways
 from skyline.geodesy.earth import Curvature
 from skyline.match.eye_prior import EyeHeightPrior
 from skyline.match.lens_prior import LensPrior

@@ -9,7 +9,7 @@ import pytest
 from scenes import candidate_at, field_from, perturbed
 
 from skyline.angles import wrapped_deg
-from skyline.camera import Projection
+from skyline.camera.projection import Projection
 from skyline.errors import InputError
 from skyline.geodesy.earth import Curvature
 from skyline.ground import GroundErrors

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scenes import candidate_at
 
-from skyline.camera import Projection
+from skyline.camera.projection import Projection
 from skyline.match.config import MatchConfig
 from skyline.match.other_projection import OtherProjection
 from skyline.match.rays import Rays

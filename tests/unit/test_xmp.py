@@ -10,7 +10,7 @@ from PIL.ExifTags import IFD, Base
 from PIL.PngImagePlugin import PngInfo
 from xmp_packets import ATTRIBUTES, ELEMENTS, FORMS, GPANO, WHOLE, xmp_packet
 
-from skyline.camera import Projection
+from skyline.camera.projection import Projection
 from skyline.photo.photo import read_photo
 from skyline.photo.xmp import xmp_of
 

@@ -24,7 +24,7 @@ _MIN_FORWARD = 0.05
 
 @dataclass(frozen=True, slots=True)
 class Camera:
-    """A camera with square pixels; angles as in `skyline.camera`."""
+    """A camera with square pixels; angles as in `skyline.camera.levelling`."""
 
     grid_heading_deg: float  # Azimuth of the optical axis from grid north
     pitch_deg: float = 0.0  # Optical axis above the horizon; how far a cylinder's rows are raised

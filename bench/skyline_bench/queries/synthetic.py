@@ -15,7 +15,8 @@ from numpy.typing import ArrayLike
 from scipy import ndimage
 
 from skyline.arrays import Float64Array, IntArray
-from skyline.camera import Projection, distorted
+from skyline.camera.projection import Projection
+from skyline.camera.warps import distorted
 from skyline.errors import InputError
 from skyline.geodesy.map_frame import Rectangle
 from skyline.match.rays import Rays
@@ -70,7 +71,7 @@ class QueryConfig:
     projection: Projection = Projection.PERSPECTIVE
     # The field of view given is wrong by up to this share; 0 where it is known.
     fov_error: float = 0.05
-    # Standard deviation of the lens's distortion; see `skyline.camera.undistorted`.
+    # Standard deviation of the lens's distortion; see `skyline.camera.warps.undistorted`.
     distortion_sd: float = 0.0
     max_tilt_deg: float = 5.0  # Pitch and roll are within this, at most 20
     # Standard deviations of pitch and roll as people hold cameras; None draws both evenly.
@@ -103,7 +104,7 @@ class QueryConfig:
 class Truth:
     """The true pose of a query.
 
-    Angles are as in `skyline.camera.Camera`.
+    Angles are as in `skyline.camera.camera.Camera`.
     """
 
     # In the frame and above the datum of the query's elevation model.
