@@ -17,7 +17,8 @@ from typing import Any
 
 from skyline.camera.projection import Projection
 from skyline.errors import InputError, SkylineError
-from skyline.files import REPORT_PAGE, STANDARD, is_own_page, read_bytes, version_of
+from skyline.files.disk import REPORT_PAGE, STANDARD, is_own_page, read_bytes, version_of
+from skyline.files.tables import Row, Table, is_table, read_table
 from skyline.match.config import MatchConfig
 from skyline.match.matcher import Matcher
 from skyline.match.narrowing import Narrowing
@@ -27,7 +28,6 @@ from skyline.photo.photo import check_fov, read_noted_time
 from skyline.photo.read import read_skyline
 from skyline.photo.skyline import Lens, PhotoSkyline
 from skyline.survey.cluster import Opening, Runner, Tell
-from skyline.tables import Row, Table, is_table, read_table
 
 _TOGETHER = {
     "near": ("lon", "lat", "radius_km"),

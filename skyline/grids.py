@@ -15,8 +15,8 @@ import numpy as np
 from pyproj import CRS
 
 from skyline.arrays import Float32Array, Float64Array, IntArray, refuse_text
-from skyline.cf import DEGREES, METRES, TRUE_NORTH
 from skyline.errors import InputError, library
+from skyline.files.cf import DEGREES, METRES, TRUE_NORTH
 from skyline.geodesy.crs import lonlat_of, transformer
 from skyline.geodesy.earth import Curvature
 from skyline.horizons import steps_a_turn

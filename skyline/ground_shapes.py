@@ -14,9 +14,9 @@ import numpy as np
 from skyline.arrays import BoolArray, Float64Array
 from skyline.camera.pixels import in_picture
 from skyline.errors import InputError
+from skyline.files.shapes import POINT, POLYGON, Shape
 from skyline.geodesy.map_frame import Frame
 from skyline.ground import GroundErrors, GroundPixels, GroundPoints, GroundView
-from skyline.shapes import POINT, POLYGON, Shape
 from skyline.terrain.height_errors import height_correlation
 
 _STEP_PX = 4.0

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from pyproj import CRS
 
 from skyline.arrays import Float32Array, Float64Array, UInt8Array, refuse_text
-from skyline.cf import DEGREES, LAT, LON, METRES, TRUE_NORTH
 from skyline.errors import InputError, library
+from skyline.files.cf import DEGREES, LAT, LON, METRES, TRUE_NORTH
 from skyline.geodesy.bounds import are_degrees
 from skyline.geodesy.crs import WGS84
 from skyline.sky_view import sky_view_factor

@@ -13,11 +13,11 @@ import numpy as np
 
 from skyline.arrays import Float64Array, ShortRepr
 from skyline.errors import InputError, one_line, printable
-from skyline.files import GEOJSON, read_bytes
+from skyline.files.disk import GEOJSON, read_bytes
+from skyline.files.tables import Row, read_table
 from skyline.geodesy.crs import WGS84, crs_of_positions, transformer
 from skyline.geodesy.earth import GROUND_M
 from skyline.geodesy.map_frame import Frame
-from skyline.tables import Row, read_table
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import is_on_map, swap_hint
 

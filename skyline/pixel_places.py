@@ -13,9 +13,9 @@ import numpy as np
 from pyproj import CRS
 
 from skyline.arrays import Float32Array, Float64Array, ShortRepr
-from skyline.cf import LAT, LON, METRES
 from skyline.errors import library, suffix_of
-from skyline.files import write_whole
+from skyline.files.cf import LAT, LON, METRES
+from skyline.files.disk import write_whole
 from skyline.geodesy.crs import WGS84
 from skyline.pose import Pose
 

@@ -13,10 +13,10 @@ import numpy as np
 from skyline.arrays import BoolArray, Float64Array
 from skyline.camera.pixels import in_picture
 from skyline.errors import InputError, check_suffix, printable
-from skyline.files import write_whole
+from skyline.files.disk import write_whole
+from skyline.files.tables import Table, csv_lines, read_table
 from skyline.geodesy.bounds import are_degrees
 from skyline.geodesy.crs import WGS84, crs_of_positions, transformer
-from skyline.tables import Table, csv_lines, read_table
 
 POINT_FILES = (".csv", ".points")
 """Suffixes of files of control points."""

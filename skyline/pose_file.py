@@ -8,14 +8,14 @@ from typing import Any
 
 from skyline.camera.projection import Projection
 from skyline.errors import InputError, printable
-from skyline.files import is_name_of, read_bytes
+from skyline.files.disk import is_name_of, read_bytes
+from skyline.files.tables import is_table
 from skyline.noted_pose import EXPECTED_RECORD, NotedPose, noted_projection
 from skyline.photo.frame import Size, is_whole
 from skyline.photo.photo import Photo, read_photo
 from skyline.photo.skyline import PhotoForm
 from skyline.photo.tags import positive
 from skyline.store.read import is_store
-from skyline.tables import is_table
 
 _FORM = ("projection", "width_px", "height_px")
 """The keys of `skyline.photo.skyline.PhotoSkyline.form`."""

@@ -15,7 +15,7 @@ from typer import Argument, Option
 
 from skyline import Matcher, build_places, read_dem, stand_at
 from skyline.errors import MissingFileError
-from skyline.files import check_folder, write_whole
+from skyline.files.disk import check_folder, write_whole
 from skyline.render.depth import DepthRenderer
 from skyline.report.match_page import report_matches
 from skyline.survey.plans import map_bounds

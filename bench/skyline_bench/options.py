@@ -16,7 +16,7 @@ from rich.table import Table
 from typer import Argument, CallbackParam, Option
 
 from skyline.errors import InputError, suffix_of
-from skyline.files import check_outputs
+from skyline.files.disk import check_outputs
 from skyline_bench.measuring import Row, shown
 from skyline_bench.records import KEPT, READ, WRITTEN, Run, note_files, write_record
 

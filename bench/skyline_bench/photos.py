@@ -28,7 +28,7 @@ from skyline import (
 from skyline.angles import wrapped_deg
 from skyline.arrays import Float64Array
 from skyline.cli.terminal import Terminal
-from skyline.files import write_whole
+from skyline.files.disk import write_whole
 from skyline.geodesy.bounds import Bounds
 from skyline.geodesy.map_frame import geodesic_m
 from skyline.photo.read import read_picture

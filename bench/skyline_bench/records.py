@@ -25,7 +25,7 @@ import typer
 import skyline
 from skyline import HeightField
 from skyline.errors import ContextError, InputError, SkylineError
-from skyline.files import read_bytes, write_whole
+from skyline.files.disk import read_bytes, write_whole
 from skyline.geodesy.bounds import Bounds
 from skyline.render.context import held_context
 from skyline.store.read import open_store

@@ -26,7 +26,7 @@ from torch.nn import functional
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
-from skyline.files import write_whole
+from skyline.files.disk import write_whole
 from skyline.progress import Progress
 from skyline_training.landscapes import UNKNOWN, TrainingPhoto
 

@@ -11,7 +11,7 @@ from typer import Option
 from skyline.cache import cached_areas, clear_cache
 from skyline.cli.options import AsJson
 from skyline.cli.terminal import Terminal, size_in_words
-from skyline.files import cache_folder
+from skyline.files.disk import cache_folder
 from skyline.terrain.kept_models import kept_bytes
 
 

@@ -11,7 +11,7 @@ from skyline.cli.options import PhotoProjection, output_option
 from skyline.cli.photo_options import FieldOfView, PhotoFile
 from skyline.cli.terminal import Terminal
 from skyline.errors import check_suffix, suffix_of
-from skyline.files import check_outputs
+from skyline.files.disk import check_outputs
 from skyline.photo.drawn_skyline import OVERLAYS, write_overlay
 from skyline.photo.photo import read_photo
 from skyline.photo.read import find_skyline

@@ -11,7 +11,7 @@ from skyline.cli.facts import table_of
 from skyline.cli.options import AsJson, Crs
 from skyline.cli.terminal import Terminal
 from skyline.errors import InputError
-from skyline.files import STORE_SUFFIXES
+from skyline.files.disk import STORE_SUFFIXES
 from skyline.render.context import held_context
 from skyline.store.read import is_store
 from skyline.tasks.describe import MEANINGS, describe_store, describe_terrain

@@ -36,7 +36,7 @@ from skyline.cli.photo_options import (
 )
 from skyline.cli.terminal import Terminal
 from skyline.errors import InputError
-from skyline.files import STANDARD
+from skyline.files.disk import STANDARD
 from skyline.match.matcher import FULL
 from skyline.report.results_file import RESULTS
 from skyline.tasks.match import (

@@ -28,7 +28,7 @@ from rich.progress import (
 from rich.progress import Progress as ProgressBar
 
 from skyline.errors import one_line, printable
-from skyline.files import STANDARD
+from skyline.files.disk import STANDARD
 
 if TYPE_CHECKING:
     from skyline.progress import Progress

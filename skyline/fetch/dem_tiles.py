@@ -36,7 +36,7 @@ from skyline.fetch.remote import (
     SpoiledError,
     with_remote,
 )
-from skyline.files import check_folder, for_gdal, write_whole
+from skyline.files.disk import check_folder, for_gdal, write_whole
 from skyline.geodesy.bounds import Bounds, box_around, check_bounds, width_deg
 from skyline.progress import Progress
 from skyline.terrain.raster_files import bands_of, without_secrets

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from skyline.errors import InputError, SkylineError, StoreError
-from skyline.files import is_file, on_disk
+from skyline.files.disk import is_file, on_disk
 from skyline.geodesy.map_frame import Frame
 from skyline.store.layout import StoreHeader
 from skyline.store.read import Store

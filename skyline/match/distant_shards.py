@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from skyline.arrays import Float32Array, Float64Array, IntArray
-from skyline.files import version_of
+from skyline.files.disk import version_of
 from skyline.match.areas import terrain_at_hand
 from skyline.match.fit import FitEffort
 from skyline.match.posterior import AlikePlaces

@@ -42,8 +42,8 @@ import cv2
 import numpy as np
 
 from skyline.arrays import Float32Array, Float64Array, Rows, ShortRepr
-from skyline.cf import METRES
 from skyline.errors import InputError, library
+from skyline.files.cf import METRES
 from skyline.geodesy.cell_grid import CellGrid
 from skyline.geodesy.map_frame import Frame
 from skyline.match.position_prior import PositionPrior

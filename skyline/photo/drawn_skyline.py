@@ -9,7 +9,7 @@ from PIL import Image
 
 from skyline.arrays import UInt8Array
 from skyline.errors import suffix_of
-from skyline.files import write_whole
+from skyline.files.disk import write_whole
 from skyline.photo.skyline import PhotoSkyline, check_of_image
 
 OVERLAYS = (".png",)

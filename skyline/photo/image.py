@@ -22,9 +22,9 @@ from PIL.ExifTags import Base
 
 from skyline.arrays import UInt8Array
 from skyline.errors import InputError, MissingFileError
-from skyline.files import STANDARD, files_in, left_out_in_words, names_in_words, read_bytes
+from skyline.files.disk import STANDARD, files_in, left_out_in_words, names_in_words, read_bytes
+from skyline.files.tables import is_table
 from skyline.store.read import is_store
-from skyline.tables import is_table
 
 _log = logging.getLogger(__name__)
 

@@ -13,6 +13,7 @@ from PIL.ExifTags import IFD, Base
 from skyline.arrays import ShortRepr, UInt8Array, refuse_text
 from skyline.camera.projection import Projection
 from skyline.errors import InputError
+from skyline.files.tables import is_table
 from skyline.photo.borders import content_of
 from skyline.photo.image import (
     Picture,
@@ -28,7 +29,6 @@ from skyline.photo.noted_place import NOTHING_NOTED, NotedPlace, place_from_exif
 from skyline.photo.skyline import Lens, PhotoSkyline
 from skyline.photo.tags import noted_time
 from skyline.photo.xmp import xmp_of
-from skyline.tables import is_table
 
 _PICTURE_PX = 1600
 """Longer side of the picture that a skyline keeps of its photo."""

@@ -11,6 +11,7 @@ from PIL.Image import Image
 from skyline.arrays import UInt8Array
 from skyline.camera.projection import Projection
 from skyline.errors import InputError, numbers_of
+from skyline.files.tables import is_table
 from skyline.photo.extract import extract_skyline
 from skyline.photo.image import Picture
 from skyline.photo.noted_fov import MAX_PINHOLE_ASPECT
@@ -19,7 +20,6 @@ from skyline.photo.sky_mask import is_sky_mask, skyline_of_mask
 from skyline.photo.skyline import PhotoSkyline, check_in_picture
 from skyline.photo.trace import read_trace
 from skyline.photo.user_sky_model import model_skyline
-from skyline.tables import is_table
 
 _log = logging.getLogger(__name__)
 

@@ -9,9 +9,9 @@ import numpy as np
 from skyline.arrays import Float64Array
 from skyline.camera.projection import Projection
 from skyline.errors import InputError, check_suffix
-from skyline.files import write_whole
+from skyline.files.disk import write_whole
+from skyline.files.tables import Row, Table, read_table
 from skyline.photo.skyline import Lens, PhotoSkyline
-from skyline.tables import Row, Table, read_table
 
 TRACES = (".csv",)
 """The suffix of traces; files with other suffixes are photos."""

@@ -17,7 +17,7 @@ from PIL.ExifTags import GPS, IFD, Base
 from PIL.TiffImagePlugin import IFDRational, ImageFileDirectory_v2
 
 from skyline.errors import InputError
-from skyline.files import write_whole
+from skyline.files.disk import write_whole
 from skyline.photo.image import opened_image
 from skyline.photo.panorama import GPANO
 from skyline.photo.photo import read_photo

@@ -26,10 +26,10 @@ import numpy as np
 from skyline.arrays import Float64Array, UInt8Array
 from skyline.camera.projection import Projection
 from skyline.errors import InputError, printable, suffix_of
-from skyline.files import STANDARD, write_whole
+from skyline.files.disk import STANDARD, write_whole
+from skyline.files.geojson import Json, collection, feature
 from skyline.geodesy.antimeridian import lonlat_rings
 from skyline.geodesy.map_frame import Frame
-from skyline.geojson import Json, collection, feature
 from skyline.match.result import MatchResult, listed
 from skyline.photo.read import read_picture
 from skyline.photo.skyline import PhotoSkyline

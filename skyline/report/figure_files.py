@@ -6,7 +6,7 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from skyline.files import has_mark
+from skyline.files.disk import has_mark
 
 _MARK = "Software", "Skyline"
 """Name and content of a text in all PNG files that are written here."""

@@ -13,10 +13,10 @@ from pyproj import CRS
 from skyline.angles import wrapped_deg
 from skyline.arrays import Float64Array, IntArray
 from skyline.errors import InputError, suffix_of
-from skyline.files import write_whole
+from skyline.files.disk import write_whole
+from skyline.files.tables import csv_lines
 from skyline.geodesy.crs import is_of_earth, other_world_in_words
 from skyline.local_horizons import LocalHorizons
-from skyline.tables import csv_lines
 
 
 def kind_of_horizons(path: Path) -> str:

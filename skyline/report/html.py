@@ -9,7 +9,7 @@ from collections.abc import Iterable, Sequence
 from html import escape
 
 from skyline.errors import printable
-from skyline.files import PAGE_MARK
+from skyline.files.disk import PAGE_MARK
 
 _NUMBER = re.compile(r"[-+−]?\d+(\.\d+)?|–")
 """A number or the dash of an unknown value."""

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from skyline.arrays import UInt8Array
 from skyline.errors import InputError, OffMapError
-from skyline.files import REPORT_PAGE, write_whole
+from skyline.files.disk import REPORT_PAGE, write_whole
 from skyline.match.areas import terrain_at_hand
 from skyline.match.matcher import Matcher
 from skyline.match.result import MatchResult, listed

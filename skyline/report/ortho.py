@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from skyline.arrays import BoolArray, Float32Array, Float64Array
 from skyline.camera.camera import Camera
 from skyline.errors import InputError, suffix_of
-from skyline.files import write_whole
+from skyline.files.disk import write_whole
 from skyline.geodesy.cell_grid import CellGrid
 from skyline.ground import GroundErrors, GroundPoints, GroundView
 from skyline.report.geotiff import GEOTIFFS, geotiff

@@ -16,7 +16,7 @@ from matplotlib.ticker import MaxNLocator
 
 from skyline.arrays import Float64Array, UInt8Array
 from skyline.errors import suffix_of
-from skyline.files import write_whole
+from skyline.files.disk import write_whole
 from skyline.geodesy.bounds import degrees_in_words
 from skyline.peaks import Peaks
 from skyline.report.figure_files import encode_figure

@@ -8,9 +8,9 @@ import numpy as np
 
 from skyline.arrays import Float64Array
 from skyline.errors import InputError, printable, suffix_of
-from skyline.files import GEOJSON, write_whole
+from skyline.files.disk import GEOJSON, write_whole
+from skyline.files.geojson import Json, collection, feature
 from skyline.geodesy.antimeridian import lonlat_rings
-from skyline.geojson import Json, collection, feature
 from skyline.match.posterior import SHARES, Posterior
 from skyline.report.geotiff import GEOTIFFS, geotiff
 from skyline.report.kml import add, add_polygon, kml_document, xml_bytes

@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any, Self
 
 from skyline.errors import BusyError, InputError, SkylineError
-from skyline.files import has_locks, lock_file, write_whole
-from skyline.tables import csv_lines, unguarded
+from skyline.files.disk import has_locks, lock_file, write_whole
+from skyline.files.tables import csv_lines, unguarded
 
 Row = Mapping[str, Any]
 """Values by column, as `skyline.match.result.MatchResult.to_row` returns them."""

@@ -10,15 +10,15 @@ import numpy as np
 
 from skyline.arrays import Float64Array
 from skyline.errors import library, suffix_of
-from skyline.files import GEOJSON, write_whole
+from skyline.files.disk import GEOJSON, write_whole
+from skyline.files.geojson import Json, collection, feature
+from skyline.files.shapes import LINE, POINT, POLYGON
+from skyline.files.vectors import PHOTO_MEMBER, VERTICES_LAYER
 from skyline.geodesy.map_frame import Frame
-from skyline.geojson import Json, collection, feature
 from skyline.ground import GroundPoints
 from skyline.ground_shapes import GroundShape, PhotoShape
 from skyline.photo.skyline import PhotoForm
 from skyline.report.kml import add, add_coordinates, add_polygon, kml_document, xml_bytes
-from skyline.shapes import LINE, POINT, POLYGON
-from skyline.vectors import PHOTO_MEMBER, VERTICES_LAYER
 
 MAP_FILES = (*GEOJSON, ".gpkg", ".kml")
 """Suffixes of shapes on the map."""

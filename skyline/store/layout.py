@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from skyline.arrays import ShortRepr, UInt8Array
 from skyline.errors import SkylineError, StoreError, StoreMismatchError, one_line, some_of
-from skyline.files import STORE_SCHEMA
+from skyline.files.disk import STORE_SCHEMA
 from skyline.geodesy.bounds import Bounds
 from skyline.geodesy.earth import Curvature
 from skyline.geodesy.map_frame import Frame

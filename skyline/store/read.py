@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from skyline.arrays import Index, Int64Array, IntArray
 from skyline.errors import InputError, MissingFileError, StoreError
-from skyline.files import STORE_SUFFIXES
+from skyline.files.disk import STORE_SUFFIXES
 from skyline.geodesy.map_frame import Frame
 from skyline.skylines import Views
 from skyline.store.layout import (

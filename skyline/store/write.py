@@ -15,7 +15,7 @@ import numpy as np
 
 from skyline.arrays import IntArray
 from skyline.errors import InputError, MissingFileError, check_suffix
-from skyline.files import STANDARD, STORE_SUFFIXES, appearing
+from skyline.files.disk import STANDARD, STORE_SUFFIXES, appearing
 from skyline.store.layout import (
     PLACES,
     ROWS_AT_ONCE,

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from skyline.arrays import Float64Array, IntArray
-from skyline.cf import DEGREES, GRID_NORTH, LAT, LON, METRES, TRUE_NORTH
 from skyline.errors import library
+from skyline.files.cf import DEGREES, GRID_NORTH, LAT, LON, METRES, TRUE_NORTH
 from skyline.geodesy.map_frame import Frame
 from skyline.skylines import Views, bin_azimuths_rad, columns_u
 from skyline.store.places import BINS, DISTANCE_BINS, Places

@@ -8,12 +8,13 @@ from pathlib import Path
 import numpy as np
 
 from skyline.errors import InputError, suffix_of
-from skyline.files import GEOJSON, check_outputs, on_disk, write_whole
+from skyline.files.disk import GEOJSON, check_outputs, on_disk, write_whole
+from skyline.files.shapes import Vectors
+from skyline.files.vectors import read_vectors
 from skyline.ground import GroundErrors, GroundView
 from skyline.ground_shapes import GroundShape, Jump, Measure, in_photo, on_ground
 from skyline.photo.photo import Photo
 from skyline.report.vector_files import MAP_FILES, write_in_photo, write_on_map
-from skyline.shapes import Vectors
 from skyline.tasks.label import LABEL_FILES
 from skyline.tasks.listener import Listener
 from skyline.tasks.photo_task import PosedTask
@@ -21,7 +22,6 @@ from skyline.tasks.standing import assumed_lines, shown_pose
 from skyline.tasks.terrain import read_terrain
 from skyline.terrain.dem_files import dem_names
 from skyline.terrain.viewpoints import swap_hint
-from skyline.vectors import read_vectors
 from skyline.view import Viewer
 
 PHOTO_FILES = tuple(dict.fromkeys([*GEOJSON, *LABEL_FILES]))

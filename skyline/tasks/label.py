@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from skyline.errors import InputError, some_of, suffix_of
-from skyline.files import check_outputs, write_whole
+from skyline.files.disk import check_outputs, write_whole
 from skyline.noted_pose import NotedPose
 from skyline.orienter import orienters
 from skyline.peaks import read_peaks

@@ -24,7 +24,7 @@ from skyline.errors import (
     printable,
     suffix_of,
 )
-from skyline.files import (
+from skyline.files.disk import (
     GEOJSON,
     STANDARD,
     STORE_SUFFIXES,

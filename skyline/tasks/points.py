@@ -5,7 +5,7 @@ from pathlib import Path
 
 from skyline.control_points import KnownCamera, PointErrors, PointsFit, fit_points
 from skyline.errors import InputError, check_suffix
-from skyline.files import check_outputs
+from skyline.files.disk import check_outputs
 from skyline.photo.skyline import PhotoSkyline
 from skyline.point_files import (
     POINT_FILES,

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from skyline.errors import InputError, MissingFileError
-from skyline.files import files_in, for_gdal, is_file
+from skyline.files.disk import files_in, for_gdal, is_file
 
 Paths = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
 """One or several elevation files, folders or zip archives of them, addresses, or GDAL names."""

@@ -18,7 +18,7 @@ from rasterio.coords import BoundingBox
 from rasterio.enums import ColorInterp
 
 from skyline.errors import InputError, MissingFileError
-from skyline.files import (
+from skyline.files.disk import (
     archive_of,
     for_gdal,
     is_file,

@@ -28,7 +28,7 @@ from pyproj.exceptions import CRSError
 
 from skyline.arrays import Float32Array
 from skyline.errors import InputError, MissingFileError
-from skyline.files import appearing
+from skyline.files.disk import appearing
 from skyline.geodesy.map_frame import Frame
 from skyline.terrain.grid import Grid
 from skyline.terrain.heightfield import HeightField, dem_of, field_of

@@ -22,11 +22,11 @@ from skyline.arrays import (
     refuse_text,
 )
 from skyline.errors import InputError, OffMapError, one_line, printable, swapped_in_words
+from skyline.files.tables import Table, read_table
 from skyline.geodesy.bounds import are_degrees, distance_in_words
 from skyline.geodesy.earth import GROUND_M
 from skyline.geodesy.map_frame import in_rectangle
 from skyline.skylines import HEADINGS
-from skyline.tables import Table, read_table
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.summits import highest_within, summit_heights_m
 

@@ -12,7 +12,7 @@ from PIL import Image
 
 from skyline import read_dem
 from skyline.errors import InputError
-from skyline.files import check_outputs
+from skyline.files.disk import check_outputs
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,7 @@ from scenes import NORTH_M, WEST_M, across_antimeridian, fractal, write_dem
 
 from skyline import Frame, open_store, read_dem
 from skyline.errors import start_logging
-from skyline.files import check_outputs
+from skyline.files.disk import check_outputs
 from skyline.report.results_file import ResultsFile
 from skyline.store.write import write_store
 

@@ -23,7 +23,7 @@ from scenes import UTM
 
 from skyline import Matcher, build_places
 from skyline.errors import InputError, MissingFileError
-from skyline.files import version_of
+from skyline.files.disk import version_of
 from skyline.terrain.dem import read_dem
 from skyline.terrain.dem_files import dem_names
 from skyline.terrain.provenance import DemOptions

@@ -8,7 +8,7 @@ from threading import Thread
 import pytest
 
 from skyline.errors import InputError
-from skyline.files import write_whole
+from skyline.files.disk import write_whole
 
 
 def test_missing_folders_of_a_file_are_made(tmp_path):

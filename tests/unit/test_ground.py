@@ -8,11 +8,11 @@ from scenes import candidate_at, field_from, field_of, fractal
 
 from skyline.camera.projection import Projection
 from skyline.errors import InputError
+from skyline.files.shapes import LINE, POINT, POLYGON, Shape
 from skyline.geodesy.earth import Curvature
 from skyline.ground import GroundErrors
 from skyline.ground_shapes import in_photo, on_ground
 from skyline.photo.skyline import PhotoSkyline
-from skyline.shapes import LINE, POINT, POLYGON, Shape
 from skyline.view import Viewer
 
 PHOTO = PhotoSkyline(np.full(400, np.nan), np.zeros(400), 400, 300)

@@ -10,8 +10,8 @@ from commands import csv_of
 from scenes import field_of
 
 from skyline.errors import InputError
+from skyline.files.tables import csv_lines, is_table, read_table
 from skyline.photo.trace import read_trace
-from skyline.tables import csv_lines, is_table, read_table
 from skyline.terrain.viewpoints import read_viewpoints
 
 

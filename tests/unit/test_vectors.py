@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from skyline.errors import InputError, MissingFileError
-from skyline.shapes import LINE, POINT, POLYGON
-from skyline.vectors import read_vectors
+from skyline.files.shapes import LINE, POINT, POLYGON
+from skyline.files.vectors import read_vectors
 
 SQUARE = [[10.0, 20.0], [30.0, 20.0], [30.0, 40.0], [10.0, 40.0]]
 PIXELS = np.array(SQUARE) - 0.5

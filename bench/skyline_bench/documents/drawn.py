@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from skyline.errors import InputError
-from skyline.files import write_whole
+from skyline.files.disk import write_whole
 from skyline_bench.measuring import Row
 from skyline_bench.options import table_text
 from skyline_bench.records import read_record

@@ -10,10 +10,10 @@ import numpy as np
 
 from skyline.arrays import Float64Array, UInt8Array
 from skyline.errors import InputError, MissingFileError
+from skyline.files.tables import Row, read_table
 from skyline.photo.photo import read_photo
 from skyline.photo.sky_mask import topmost_border
 from skyline.photo.trace import read_trace
-from skyline.tables import Row, read_table
 
 LOCATE = "locate"
 """A photograph whose place is to be found."""

@@ -14,8 +14,8 @@ import numpy as np
 
 from skyline.arrays import Float64Array
 from skyline.errors import InputError, library, printable
-from skyline.files import GEOJSON, is_name_of, read_bytes
-from skyline.shapes import (
+from skyline.files.disk import GEOJSON, is_name_of, read_bytes
+from skyline.files.shapes import (
     CORNER_PX,
     EXPECTED,
     LINE,
@@ -26,7 +26,7 @@ from skyline.shapes import (
     box_ring,
     ring_of,
 )
-from skyline.xml_vectors import read_gpx, read_svg
+from skyline.files.xml_vectors import read_gpx, read_svg
 
 VECTORS = (*GEOJSON, ".svg", ".gpx", ".gpkg")
 PHOTO_MEMBER = "photo"

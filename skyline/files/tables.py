@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TypeGuard
 
 from skyline.errors import InputError, printable
-from skyline.files import STANDARD, read_bytes
+from skyline.files.disk import STANDARD, read_bytes
 
 _LIMITS = {"lon": (-180.0, 360.0), "lat": (-90.0, 90.0)}
 """Least and greatest numbers in columns of degrees."""

@@ -1,4 +1,4 @@
-"""Files: reading, writing, folders, locks, and names for GDAL.
+"""Files on disk: reading, writing, folders, locks, and names for GDAL.
 
 A file is written whole or not at all.
 """

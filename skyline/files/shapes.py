@@ -10,7 +10,7 @@ import numpy as np
 from skyline.arrays import Float64Array
 from skyline.camera.pixels import in_picture
 from skyline.errors import InputError, printable
-from skyline.files import is_name_of
+from skyline.files.disk import is_name_of
 
 POINT, LINE, POLYGON = "Point", "LineString", "Polygon"
 """Kinds of shapes, by their GeoJSON names."""

@@ -11,8 +11,8 @@ from defusedxml.ElementTree import fromstring
 
 from skyline.arrays import Float64Array
 from skyline.errors import InputError, printable
-from skyline.files import read_bytes
-from skyline.shapes import (
+from skyline.files.disk import read_bytes
+from skyline.files.shapes import (
     CORNER_PX,
     EXPECTED,
     LINE,

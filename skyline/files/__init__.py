@@ -1,0 +1,1 @@
+"""Files in others' formats, and how files are read and written whole."""
