@@ -30,7 +30,6 @@ from .match.posterior import Posterior as Posterior
 from .match.result import MatchResult as MatchResult
 from .match.result import to_dataframe as to_dataframe
 from .match.result import to_geodataframe as to_geodataframe
-from .noted_pose import NotedPose as NotedPose
 from .orientation import Orientation as Orientation
 from .orienter import Orienter as Orienter
 from .orienter import orient as orient
@@ -48,8 +47,9 @@ from .photo.strokes import StrokeKind as StrokeKind
 from .photo.trace import read_trace as read_trace
 from .photo.trace import write_trace as write_trace
 from .pixel_places import PixelPlaces as PixelPlaces
-from .pose import Ellipse as Ellipse
-from .pose import Pose as Pose
+from .pose.noted_pose import NotedPose as NotedPose
+from .pose.pose import Ellipse as Ellipse
+from .pose.pose import Pose as Pose
 from .render.context import RenderThread as RenderThread
 from .render.horizon import RenderConfig as RenderConfig
 from .render.horizon import render_views as render_views

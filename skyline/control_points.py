@@ -2,7 +2,7 @@
 
 No skyline is needed. The pose is fitted by damped Gauss-Newton to the pixels of the points, from
 what is known of the place and the lens, or from a pose that is refined. The unknowns are those of
-`skyline.pose.Pose.covariance`. A point is wrong if leaving it out lowers the cost by more than the
+`Pose.covariance`. A point is wrong if leaving it out lowers the cost by more than the
 cost of a point that lies anywhere in the photo.
 """
 
@@ -24,8 +24,8 @@ from skyline.match.rays import Rays
 from skyline.orientation import RIGHT_DEG
 from skyline.photo.skyline import PhotoSkyline
 from skyline.point_files import ControlPoints
-from skyline.pose import Pose
-from skyline.pose_errors import (
+from skyline.pose.pose import Pose
+from skyline.pose.pose_errors import (
     ANGLES,
     ASSUMED,
     EAST,

@@ -19,8 +19,8 @@ from skyline.camera.pixels import Pixel
 from skyline.errors import InputError
 from skyline.geodesy.earth import Curvature
 from skyline.photo.skyline import PhotoForm
-from skyline.pose import Pose
-from skyline.pose_errors import HEADING, PIXEL_SD_PX, Bearings
+from skyline.pose.pose import Pose
+from skyline.pose.pose_errors import HEADING, PIXEL_SD_PX, Bearings
 
 LEAST_PROBABILITY = 0.01
 """Rays are taken to miss each other if rays that meet would seem so far apart with less than this

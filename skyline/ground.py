@@ -24,8 +24,8 @@ from skyline.arrays import BoolArray, Float64Array, Rows
 from skyline.camera.camera import Camera
 from skyline.errors import InputError
 from skyline.geodesy.earth import Curvature
-from skyline.pose import ellipse_axes
-from skyline.pose_errors import EAST, NORTH, PIXEL_SD_PX, UP, Bearings
+from skyline.pose.pose import ellipse_axes
+from skyline.pose.pose_errors import EAST, NORTH, PIXEL_SD_PX, UP, Bearings
 from skyline.progress import Progress
 from skyline.terrain.heightfield import HeightField, ground_of, ground_slope
 from skyline.terrain.ray_casting import first_hits_m

@@ -11,8 +11,8 @@ from skyline.errors import printable
 from skyline.match.noted_errors import noted_heading_sd_deg
 from skyline.match.result import NORTHS, to_dataframe
 from skyline.photo.skyline import PhotoSkyline
-from skyline.pose import Pose
-from skyline.pose_errors import ANGLES
+from skyline.pose.pose import Pose
+from skyline.pose.pose_errors import ANGLES
 
 if TYPE_CHECKING:
     from pandas import DataFrame

@@ -47,8 +47,8 @@ from skyline.photo.image import Picture
 from skyline.photo.noted_place import NotedPlace
 from skyline.photo.read import named_skyline
 from skyline.photo.skyline import PhotoSkyline
-from skyline.pose import Pose, Poses
-from skyline.pose_errors import ANGLES, ASSUMED
+from skyline.pose.pose import Pose, Poses
+from skyline.pose.pose_errors import ANGLES, ASSUMED
 from skyline.render.context import Closeable
 from skyline.render.horizon import PanoramaRenderer, RenderConfig, RenderedScene
 from skyline.store.places import BINS, Places

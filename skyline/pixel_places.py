@@ -17,7 +17,7 @@ from skyline.errors import library, suffix_of
 from skyline.files.cf import LAT, LON, METRES
 from skyline.files.disk import write_whole
 from skyline.geodesy.crs import WGS84
-from skyline.pose import Pose
+from skyline.pose.pose import Pose
 
 if TYPE_CHECKING:
     from geopandas import GeoDataFrame

@@ -21,8 +21,8 @@ from skyline.camera.pixels import Pixel
 from skyline.errors import InputError
 from skyline.ground import GroundErrors, GroundPoints, GroundView
 from skyline.photo.skyline import PhotoForm
-from skyline.pose import Pose
-from skyline.pose_errors import EAST, HEADING, NORTH, PIXEL_SD_PX, UP, Bearings
+from skyline.pose.pose import Pose
+from skyline.pose.pose_errors import EAST, HEADING, NORTH, PIXEL_SD_PX, UP, Bearings
 from skyline.sun import Body, InSky, Sky, minutes_of
 from skyline.terrain.height_errors import height_correlation
 

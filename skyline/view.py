@@ -20,11 +20,11 @@ from skyline.camera.pixels import in_picture
 from skyline.errors import InputError
 from skyline.geodesy.earth import Curvature
 from skyline.ground import GroundView
-from skyline.noted_pose import NotedPose
 from skyline.peaks import Peaks, check_on_map
 from skyline.photo.skyline import PhotoForm, PhotoSkyline
 from skyline.pixel_places import PixelPlaces
-from skyline.pose import Pose
+from skyline.pose.noted_pose import NotedPose
+from skyline.pose.pose import Pose
 from skyline.progress import Progress
 from skyline.render.context import Closeable, RenderThread
 from skyline.render.horizon import RenderConfig, RenderedScene

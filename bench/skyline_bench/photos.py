@@ -32,7 +32,7 @@ from skyline.files.disk import write_whole
 from skyline.geodesy.bounds import Bounds
 from skyline.geodesy.map_frame import geodesic_m
 from skyline.photo.read import read_picture
-from skyline.pose import RIGHT_WITHIN_M
+from skyline.pose.pose import RIGHT_WITHIN_M
 from skyline.report.html import figures, page, picture, section, table
 from skyline.report.overlay import draw_overlay
 from skyline.survey.plans import map_bounds

@@ -31,7 +31,7 @@ from skyline.match.rays import Rays
 from skyline.match.retrieval import Retriever
 from skyline.match.search import one_blas_thread
 from skyline.match.shard import LocalShard
-from skyline.pose import Poses
+from skyline.pose.pose import Poses
 from skyline.progress import silent
 from skyline.store.layout import PLACES_A_CHUNK
 from skyline.store.mapped_places import PlaceMap

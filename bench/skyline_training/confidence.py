@@ -19,7 +19,7 @@ from skyline import MatchConfig
 from skyline.arrays import BoolArray, Float64Array
 from skyline.errors import InputError
 from skyline.match.confidence import Logistic, model_name
-from skyline.pose import DISTANCES_M
+from skyline.pose.pose import DISTANCES_M
 from skyline_bench.measuring import Row
 from skyline_training.examples import HELD_OUT, LEARNED, STAGES, Example, Examples
 

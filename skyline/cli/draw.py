@@ -11,7 +11,7 @@ from skyline.cli.photo_options import HeightSd, PhotoFile, PixelSd
 from skyline.cli.terminal import Terminal
 from skyline.files.vectors import VECTORS
 from skyline.ground import GroundErrors
-from skyline.pose_errors import PIXEL_SD_PX
+from skyline.pose.pose_errors import PIXEL_SD_PX
 from skyline.report.vector_files import MAP_FILES
 from skyline.tasks.draw import PHOTO_FILES, DrawTask, draw_vectors
 

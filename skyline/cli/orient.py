@@ -33,7 +33,7 @@ from skyline.files.disk import STANDARD, check_outputs, write_whole
 from skyline.files.tables import csv_lines
 from skyline.orientation import Orientation
 from skyline.orienter import DEFAULT_POSITION_SD_M
-from skyline.pose_errors import PIXEL_SD_PX
+from skyline.pose.pose_errors import PIXEL_SD_PX
 from skyline.tasks.orient import CameraAt, orient_photos
 from skyline.tasks.points import PointsTask, orient_by_points
 from skyline.tasks.terrain import read_terrain

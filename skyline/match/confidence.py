@@ -34,7 +34,7 @@ from skyline.camera.levelling import level
 from skyline.match.likelihood import GREATEST_LOG_ODDS
 from skyline.match.rays import Rays
 from skyline.match.solver import TEMPERATURE
-from skyline.pose import (
+from skyline.pose.pose import (
     DISTANCES_M,
     RIGHT_WITHIN_M,
     ROUGHLY_WITHIN_M,

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from skyline.arrays import refuse_text
 from skyline.errors import InputError
-from skyline.pose_errors import ASSUMED
+from skyline.pose.pose_errors import ASSUMED
 
 
 @dataclass(frozen=True, slots=True)

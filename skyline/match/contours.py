@@ -41,7 +41,7 @@ from skyline.geodesy.earth import Curvature
 from skyline.match.solver import TEMPERATURE
 from skyline.photo.image import made_smaller
 from skyline.photo.skyline import PhotoSkyline
-from skyline.pose import ROUGHLY_WITHIN_M, Pose
+from skyline.pose.pose import ROUGHLY_WITHIN_M, Pose
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.ridges import ridges_around
 

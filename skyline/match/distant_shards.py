@@ -22,7 +22,7 @@ from skyline.match.rays import Rays
 from skyline.match.screen import Alike, Screen, Turns
 from skyline.match.search import one_blas_thread
 from skyline.match.shard import LocalShard, Neighbours, Starts
-from skyline.pose import Poses
+from skyline.pose.pose import Poses
 from skyline.progress import StepProgress, silent
 from skyline.store.layout import PLACES_A_CHUNK
 from skyline.store.mapped_places import PartOfPlaces, PlaceMap

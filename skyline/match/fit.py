@@ -20,7 +20,7 @@ import numpy as np
 from skyline.arrays import BoolArray, Float32Array, Float64Array, FloatArray
 from skyline.camera.levelling import near_level_changes
 from skyline.match.rays import REFERENCE_FOV_DEG, Rays
-from skyline.pose import Poses
+from skyline.pose.pose import Poses
 from skyline.store.places import BINS, Places
 
 _HEADING, _PITCH, _ROLL, _LOG_SCALE, _EAST, _NORTH, _WANDER = range(7)
@@ -47,7 +47,7 @@ class FitErrors:
     pitch_sd_deg: float = 5.0
     roll_sd_deg: float = 4.0
     """Standard deviations from a level camera. Refinement takes 6 and 3 degrees
-    (`skyline.pose_errors.AssumedErrors`); with these, fits lost one of 150 queries, and an unmarked
+    (`AssumedErrors`); with these, fits lost one of 150 queries, and an unmarked
     panorama was no longer named."""
     most: float = 8.0
     """Greater misses of a ray count as this, in expected errors: in coarse elevation models, rays

@@ -15,7 +15,7 @@ from skyline.match.result import (
     verdict_lines,
     view_in_words,
 )
-from skyline.pose import Pose
+from skyline.pose.pose import Pose
 
 if TYPE_CHECKING:
     from geopandas import GeoDataFrame

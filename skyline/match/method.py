@@ -11,7 +11,7 @@ from skyline.match.posterior import AlikePlaces
 from skyline.match.prior import Prior
 from skyline.match.rays import Rays
 from skyline.match.shard import Shard
-from skyline.pose import Pose, Poses
+from skyline.pose.pose import Pose, Poses
 from skyline.progress import StepProgress, silent
 from skyline.render.horizon import RenderedScene
 from skyline.store.read import Store

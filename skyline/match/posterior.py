@@ -47,7 +47,7 @@ from skyline.files.cf import METRES
 from skyline.geodesy.cell_grid import CellGrid
 from skyline.geodesy.map_frame import Frame
 from skyline.match.position_prior import PositionPrior
-from skyline.pose import RIGHT_WITHIN_M, ROUGHLY_WITHIN_M, Pose, Poses
+from skyline.pose.pose import RIGHT_WITHIN_M, ROUGHLY_WITHIN_M, Pose, Poses
 
 if TYPE_CHECKING:
     from xarray import DataArray

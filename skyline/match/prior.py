@@ -14,7 +14,7 @@ from skyline.match.narrowing import Narrowing
 from skyline.match.position_prior import PositionPrior
 from skyline.match.screen import turns_within
 from skyline.photo.noted_place import NotedPlace
-from skyline.pose import Poses
+from skyline.pose.pose import Poses
 from skyline.store.places import Places
 
 _FAR_M = 1e9

@@ -37,14 +37,14 @@ from skyline.match.solver import (
     Fit,
     Solver,
 )
-from skyline.pose import (
+from skyline.pose.pose import (
     DISTANCES_M,
     RIGHT_WITHIN_M,
     SAME_VIEW_DEG,
     FitFigures,
     Poses,
 )
-from skyline.pose_errors import HEADING, LOG_SCALE, ROLL
+from skyline.pose.pose_errors import HEADING, LOG_SCALE, ROLL
 from skyline.progress import Step, StepProgress, silent
 from skyline.render.horizon import RenderedScene
 from skyline.skylines import joined_views

@@ -17,7 +17,7 @@ from skyline.geodesy.map_frame import geodesic_m
 from skyline.match.narrowing import Narrowing
 from skyline.photo.noted_place import NOTHING_NOTED
 from skyline.photo.skyline import PhotoSkyline
-from skyline.pose import COLUMNS, ROUGHLY_WITHIN_M, WRITTEN, Pose
+from skyline.pose.pose import COLUMNS, ROUGHLY_WITHIN_M, WRITTEN, Pose
 
 if TYPE_CHECKING:
     from geopandas import GeoDataFrame

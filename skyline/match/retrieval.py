@@ -28,7 +28,7 @@ from skyline.match.prior import NOTHING_KNOWN, Prior
 from skyline.match.rays import REFERENCE_FOV_DEG, Rays
 from skyline.match.screen import Alike, Screen, Turns
 from skyline.match.shard import Neighbours, Shard, Starts
-from skyline.pose import Poses
+from skyline.pose.pose import Poses
 from skyline.progress import StepProgress, silent
 from skyline.store.places import Places
 

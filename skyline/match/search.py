@@ -24,7 +24,7 @@ from skyline.match.refine import QUICK, WHOLE, Effort, Refinement, best_of_sever
 from skyline.match.retrieval import Retriever
 from skyline.match.shard import LocalShard, Shard
 from skyline.match.together import JointRefinement
-from skyline.pose import ROUGHLY_WITHIN_M, Pose, Poses
+from skyline.pose.pose import ROUGHLY_WITHIN_M, Pose, Poses
 from skyline.progress import Step, StepProgress, silent
 from skyline.render.horizon import RenderedScene
 from skyline.store.layout import PLACES

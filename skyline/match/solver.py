@@ -31,8 +31,8 @@ from skyline.match.likelihood import (
 )
 from skyline.match.position_prior import PositionPrior
 from skyline.match.rays import Rays, thinned
-from skyline.pose import Poses
-from skyline.pose_errors import ASSUMED, EAST, HEADING, LOG_SCALE, NORTH, PITCH, ROLL, UP, WARP
+from skyline.pose.pose import Poses
+from skyline.pose.pose_errors import ASSUMED, EAST, HEADING, LOG_SCALE, NORTH, PITCH, ROLL, UP, WARP
 from skyline.terrain.data_edge import DataEdge
 
 EYE_HEIGHT = UP

@@ -9,7 +9,7 @@ from skyline.arrays import BoolArray, Complex128Array, Float64Array
 from skyline.match.likelihood import GREATEST_LOG_ODDS
 from skyline.match.refine import MOVES, Particles, Refinement, best_and_rivals, spread_m2
 from skyline.match.solver import EYE_HEIGHT, TEMPERATURE
-from skyline.pose import RIGHT_WITHIN_M, Poses
+from skyline.pose.pose import RIGHT_WITHIN_M, Poses
 
 _EYE = slice(EYE_HEIGHT + 1)
 """Columns of a state that all photos of one eye share."""

@@ -21,7 +21,7 @@ from skyline.match.other_projection import OtherProjection
 from skyline.match.rays import FOV_RANGE_DEG, Rays
 from skyline.match.solver import TEMPERATURE
 from skyline.photo.skyline import PhotoSkyline
-from skyline.pose import RIGHT_WITHIN_M, ROUGHLY_WITHIN_M, SAME_VIEW_DEG, Pose
+from skyline.pose.pose import RIGHT_WITHIN_M, ROUGHLY_WITHIN_M, SAME_VIEW_DEG, Pose
 
 
 @dataclass(frozen=True, slots=True)

@@ -31,7 +31,7 @@ from skyline.photo.xmp import (
     joined,
     without,
 )
-from skyline.pose import Pose
+from skyline.pose.pose import Pose
 
 _EXIF = b"Exif\x00\x00"
 """The beginning of a segment with EXIF."""

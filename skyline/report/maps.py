@@ -29,7 +29,7 @@ from skyline.errors import InputError
 from skyline.geodesy.bounds import degrees_in_words
 from skyline.geodesy.earth import EQUATOR_RADIUS_M
 from skyline.geodesy.map_frame import Frame
-from skyline.pose import Ellipse, Pose, view_wedge_m
+from skyline.pose.pose import Ellipse, Pose, view_wedge_m
 from skyline.report.labels import Label, UnnamedPeaks, labels_of
 from skyline.sightings import Sighting
 from skyline.terrain.dem import Dem, read_dem

@@ -17,7 +17,7 @@ from skyline.match.result import MatchResult, listed
 from skyline.peaks import Peaks
 from skyline.photo.read import read_picture
 from skyline.photo.skyline import PhotoSkyline
-from skyline.pose import COLUMNS, Ellipse, Pose
+from skyline.pose.pose import COLUMNS, Ellipse, Pose
 from skyline.report.exports import export_matches
 from skyline.report.figure_files import encode_figure
 from skyline.report.folder import CANDIDATES, check_report_folder

@@ -7,7 +7,7 @@ from pathlib import Path
 from skyline.camera.pixels import Pixel
 from skyline.crossing import Crossing, Ray, check_enough, cross
 from skyline.errors import InputError
-from skyline.pose_file import read_posed
+from skyline.pose.pose_files import read_posed
 from skyline.tasks.listener import Listener
 from skyline.tasks.standing import joined_assumptions, shown_pose
 from skyline.tasks.terrain import read_terrain

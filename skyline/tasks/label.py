@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 
 from skyline.errors import InputError, some_of, suffix_of
 from skyline.files.disk import check_outputs, write_whole
-from skyline.noted_pose import NotedPose
 from skyline.orienter import orienters
 from skyline.peaks import read_peaks
 from skyline.photo.photo import Photo
 from skyline.photo.read import find_skyline
 from skyline.photo.skyline import PhotoSkyline
-from skyline.pose import Pose
+from skyline.pose.noted_pose import NotedPose
+from skyline.pose.pose import Pose
 from skyline.sun import Body, Sky
 from skyline.tasks.listener import Listener
 from skyline.tasks.photo_task import CameraTask

@@ -11,7 +11,7 @@ from skyline.geodesy.earth import Curvature
 from skyline.horizons import horizons_of, with_photo
 from skyline.local_horizons import LocalHorizons
 from skyline.photo.read import read_skyline
-from skyline.pose_file import read_pose
+from skyline.pose.pose_files import read_pose
 from skyline.tasks.listener import Listener
 from skyline.tasks.standing import shown_pose
 from skyline.terrain.heightfield import HeightField

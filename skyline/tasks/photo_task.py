@@ -6,9 +6,9 @@ from pathlib import Path
 
 from skyline.camera.projection import Projection
 from skyline.errors import InputError
-from skyline.noted_pose import NotedPose
 from skyline.photo.photo import Photo, read_photo
-from skyline.pose_file import read_posed
+from skyline.pose.noted_pose import NotedPose
+from skyline.pose.pose_files import read_posed
 from skyline.tasks.orient import CameraAt
 
 

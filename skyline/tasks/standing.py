@@ -16,8 +16,8 @@ from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints, stand_at
 
 if TYPE_CHECKING:
-    from skyline.noted_pose import NotedPose
-    from skyline.pose import Pose
+    from skyline.pose.noted_pose import NotedPose
+    from skyline.pose.pose import Pose
     from skyline.view import Viewer
 
 _log = logging.getLogger(__name__)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from datetime import date, datetime
 
 from skyline.camera.pixels import Pixel
-from skyline.pose import Pose
+from skyline.pose.pose import Pose
 from skyline.sun import Body, Sky, check_is_earth
 from skyline.sun_clock import (
     ClockTime,

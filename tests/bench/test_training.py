@@ -15,7 +15,7 @@ from commands import assert_refused
 from skyline.cli.app import run_app
 from skyline.match import confidence
 from skyline.photo.extract import extract_skyline
-from skyline.pose import DISTANCES_M, RIGHT_WITHIN_M
+from skyline.pose.pose import DISTANCES_M, RIGHT_WITHIN_M
 from skyline_training import confidence as training
 from skyline_training.__main__ import app
 from skyline_training.examples import Example

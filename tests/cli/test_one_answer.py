@@ -12,7 +12,7 @@ import pytest
 from commands import lonlat_of
 
 from skyline import Matcher, Narrowing, cli, read_dem
-from skyline.pose import COLUMNS
+from skyline.pose.pose import COLUMNS
 from skyline.web.messages import outcome_json
 
 

@@ -10,7 +10,7 @@ from PIL import Image
 from scenes import candidate_at, fractal, write_dem
 
 from skyline import InputError, Narrowing, NotedPose, OffMapError, Projection, Viewer, read_dem
-from skyline.pose_file import read_posed
+from skyline.pose.pose_files import read_posed
 
 LENS = Projection.PERSPECTIVE
 LEAST = {"lon": 9, "lat": 46, "heading_deg": 1, "fov_deg": 60}

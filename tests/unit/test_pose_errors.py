@@ -8,7 +8,7 @@ from scenes import candidate_at
 
 from skyline.camera.projection import Projection
 from skyline.photo.skyline import PhotoSkyline
-from skyline.pose_errors import ASSUMED, Bearings
+from skyline.pose.pose_errors import ASSUMED, Bearings
 
 WIDTH_PX, HEIGHT_PX = 1200, 800
 PHOTO = PhotoSkyline(np.full(WIDTH_PX, np.nan), np.zeros(WIDTH_PX), WIDTH_PX, HEIGHT_PX)

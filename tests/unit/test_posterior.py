@@ -19,7 +19,7 @@ from skyline.match.posterior import SHARES, SPREAD, AlikePlaces, Findings, Poste
 from skyline.match.prior import NOTHING_KNOWN, Prior
 from skyline.match.retrieval import Retriever
 from skyline.match.shard import LocalShard
-from skyline.pose import Ellipse, Poses
+from skyline.pose.pose import Ellipse, Poses
 from skyline.report.posterior_files import write_posteriors
 
 SURE = candidate_at(

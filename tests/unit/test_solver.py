@@ -13,7 +13,7 @@ from skyline.match.eye_prior import EyeHeightPrior
 from skyline.match.lens_prior import LensPrior
 from skyline.match.rays import Rays
 from skyline.match.solver import FINE, Curves, Solver, SolverMode
-from skyline.pose_errors import HEADING, PITCH
+from skyline.pose.pose_errors import HEADING, PITCH
 from skyline.terrain.data_edge import DataEdge
 
 TRUTH = {"heading_deg": 350.0, "pitch_deg": 2.0, "roll_deg": -1.5}

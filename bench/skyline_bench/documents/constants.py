@@ -53,7 +53,7 @@ def with_constants(text: str, page: str, *, keep_comments: bool = True) -> str:
 
 
 def _value_of(path: str) -> Any:
-    """Return the object at a dotted path, such as `skyline.pose.RIGHT_WITHIN_M`."""
+    """Return the object at a dotted path, such as `skyline.pose.pose.RIGHT_WITHIN_M`."""
     value: Any = None
     for name in path.split("."):
         value = import_module(name) if value is None else _part(value, name)

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from skyline.pose import RIGHT_WITHIN_M
+from skyline.pose.pose import RIGHT_WITHIN_M
 from skyline_bench.documents.results import (
     Results,
     Table,

@@ -9,7 +9,7 @@ from skyline.camera.projection import Projection
 from skyline.camera.warps import MOST_DISTORTION, WANDER_DEGREES
 from skyline.errors import InputError
 from skyline.geodesy.bounds import are_degrees
-from skyline.pose_errors import WARP
+from skyline.pose.pose_errors import WARP
 
 _NEEDED = ("lon", "lat", "heading_deg", "fov_deg")
 """Keys that `NotedPose.from_dict` needs."""
@@ -33,7 +33,7 @@ _MISNAMED = {
 """Names that people write, and the names that are read. A value only under the former is an error:
 if it were ignored, the camera would be level, or held by a person who stands on the ground."""
 _UNKNOWNS = (WARP, WARP + 1, WARP + len(WANDER_DEGREES))
-"""Numbers of rows that `skyline.pose.Pose.covariance` may have: without a distortion, with it, and
+"""Numbers of rows that `Pose.covariance` may have: without a distortion, with it, and
 with a panorama's wander."""
 _MOST = {"heading_deg": 360.0, "pitch_deg": 90.0, "roll_deg": 180.0, "distortion": MOST_DISTORTION}
 """Greatest absolute values that a camera has."""
@@ -51,16 +51,16 @@ class NotedPose:
     Attributes
     ----------
     lon, lat, heading_deg, fov_deg, pitch_deg, roll_deg, distortion : float
-        As in `skyline.pose.Pose`.
+        As in `skyline.pose.pose.Pose`.
     wander : tuple of float
-        As in `skyline.pose.Pose`.
+        As in `skyline.pose.pose.Pose`.
     eye_elevation_m : float or None
         Elevation of the camera above the DEM's datum.
     eye_height_m : float or None
         Height of the camera above the ground, in place of its elevation. By default a person
         holds the camera.
     covariance : tuple of tuple of float, or None
-        As in `skyline.pose.Pose`.
+        As in `skyline.pose.pose.Pose`.
     doubt : str
         Why the pose is not to be trusted; empty where its file does not doubt it.
     """
@@ -80,7 +80,7 @@ class NotedPose:
 
     @classmethod
     def from_dict(cls, record: Any, projection: Projection, source: str = "pose") -> "NotedPose":
-        """Read a record as `skyline.pose.Pose.to_dict` returns it, or with less.
+        """Read a record as `skyline.pose.pose.Pose.to_dict` returns it, or with less.
 
         Parameters
         ----------

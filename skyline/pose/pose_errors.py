@@ -1,6 +1,6 @@
 """Errors of a pose, and of the directions of its photo's pixels.
 
-All of them start from one covariance, `skyline.pose.Pose.covariance`; a pose that has none gets the
+All of them start from one covariance, `Pose.covariance`; a pose that has none gets the
 one of `AssumedErrors`.
 """
 
@@ -15,7 +15,7 @@ from skyline.camera.camera import Camera
 from skyline.camera.projection import MAX_PANORAMA_DEG
 
 EAST, NORTH, UP, HEADING, PITCH, ROLL, LOG_SCALE, WARP = range(8)
-"""Unknowns of a pose, in the order of the rows of `skyline.pose.Pose.covariance`: metres, radians,
+"""Unknowns of a pose, in the order of the rows of `Pose.covariance`: metres, radians,
 and the logarithm of the image's scale. The distortion or the wander is from `WARP` on."""
 ANGLES = ("heading", "pitch", "roll", "fov")
 """Names of the angles whose standard errors are given."""
@@ -83,7 +83,7 @@ class Bearings(Rows):
     """(N,) float64."""
     by_pose: Float64Array
     """(N, 2, P) float64. Derivatives of azimuth, radians, and tangent by the unknowns of
-    `skyline.pose.Pose.covariance`; 0 for the eye's position."""
+    `Pose.covariance`; 0 for the eye's position."""
     by_pixel: Float64Array
     """(N, 2, 2) float64. The same by a column to the right and a row down."""
 

@@ -12,7 +12,7 @@ from skyline.arrays import BoolArray, Complex128Array, Float64Array, IntArray, R
 from skyline.camera.camera import Camera
 from skyline.geodesy.map_frame import Frame, geodesic_m
 from skyline.photo.skyline import PhotoForm
-from skyline.pose_errors import ANGLES, ASSUMED
+from skyline.pose.pose_errors import ANGLES, ASSUMED
 
 RIGHT_WITHIN_M = 200.0
 """Largest error of an answer that is right. Poses farther apart are different answers."""
@@ -188,7 +188,7 @@ class Pose:
     def covariance_or_assumed(self, photo: PhotoForm) -> Float64Array:
         """Return the covariance (P, P); if it is None, an assumed one.
 
-        A pose without one was written by a person: see `skyline.pose_errors.AssumedErrors`.
+        A pose without one was written by a person: see `skyline.pose.pose_errors.AssumedErrors`.
         """
         if self.covariance is None:
             return ASSUMED.covariance(self.camera(photo))
@@ -249,7 +249,7 @@ class Pose:
         """Return the pose's record, as ``skyline match --json`` prints it.
 
         Unknown values are None, and so are numbers that are not finite, which JSON cannot hold.
-        `skyline.noted_pose.NotedPose.from_dict` reads the record.
+        `skyline.pose.noted_pose.NotedPose.from_dict` reads the record.
         """
         return {name: _finite(getattr(self, name)) for name in WRITTEN}
 

@@ -10,11 +10,11 @@ from skyline.camera.projection import Projection
 from skyline.errors import InputError, printable
 from skyline.files.disk import is_name_of, read_bytes
 from skyline.files.tables import is_table
-from skyline.noted_pose import EXPECTED_RECORD, NotedPose, noted_projection
 from skyline.photo.frame import Size, is_whole
 from skyline.photo.photo import Photo, read_photo
 from skyline.photo.skyline import PhotoForm
 from skyline.photo.tags import positive
+from skyline.pose.noted_pose import EXPECTED_RECORD, NotedPose, noted_projection
 from skyline.store.read import is_store
 
 _FORM = ("projection", "width_px", "height_px")

@@ -1,0 +1,1 @@
+"""Poses of cameras: fitted, noted, in files, and their errors."""
