@@ -14,10 +14,11 @@ from .geodesy.earth import Curvature as Curvature
 from .geodesy.map_frame import Frame as Frame
 from .grids import horizon_grid as horizon_grid
 from .grids import sky_view_grid as sky_view_grid
-from .ground import GroundErrors as GroundErrors
-from .ground import GroundPixels as GroundPixels
-from .ground import GroundPoints as GroundPoints
-from .ground import GroundView as GroundView
+from .ground.ground_view import GroundErrors as GroundErrors
+from .ground.ground_view import GroundPixels as GroundPixels
+from .ground.ground_view import GroundPoints as GroundPoints
+from .ground.ground_view import GroundView as GroundView
+from .ground.pixel_places import PixelPlaces as PixelPlaces
 from .horizons import horizon as horizon
 from .local_horizons import LocalHorizons as LocalHorizons
 from .location import locate as locate
@@ -46,7 +47,6 @@ from .photo.strokes import Stroke as Stroke
 from .photo.strokes import StrokeKind as StrokeKind
 from .photo.trace import read_trace as read_trace
 from .photo.trace import write_trace as write_trace
-from .pixel_places import PixelPlaces as PixelPlaces
 from .pose.noted_pose import NotedPose as NotedPose
 from .pose.pose import Ellipse as Ellipse
 from .pose.pose import Pose as Pose

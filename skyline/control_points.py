@@ -19,7 +19,7 @@ from skyline.camera.camera import Camera
 from skyline.camera.projection import MIN_FOV_DEG
 from skyline.camera.warps import MOST_DISTORTION
 from skyline.errors import InputError, OffMapError, printable
-from skyline.ground import GroundErrors
+from skyline.ground.ground_view import GroundErrors
 from skyline.match.rays import Rays
 from skyline.orientation import RIGHT_DEG
 from skyline.photo.skyline import PhotoSkyline

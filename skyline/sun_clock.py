@@ -19,7 +19,7 @@ from skyline.angles import wrapped_deg
 from skyline.arrays import Float64Array
 from skyline.camera.pixels import Pixel
 from skyline.errors import InputError
-from skyline.ground import GroundErrors, GroundPoints, GroundView
+from skyline.ground.ground_view import GroundErrors, GroundPoints, GroundView
 from skyline.photo.skyline import PhotoForm
 from skyline.pose.pose import Pose
 from skyline.pose.pose_errors import EAST, HEADING, NORTH, PIXEL_SD_PX, UP, Bearings

@@ -19,10 +19,10 @@ from skyline.arrays import BoolArray, Float64Array, ShortRepr
 from skyline.camera.pixels import in_picture
 from skyline.errors import InputError
 from skyline.geodesy.earth import Curvature
-from skyline.ground import GroundView
+from skyline.ground.ground_view import GroundView
+from skyline.ground.pixel_places import PixelPlaces
 from skyline.peaks import Peaks, check_on_map
 from skyline.photo.skyline import PhotoForm, PhotoSkyline
-from skyline.pixel_places import PixelPlaces
 from skyline.pose.noted_pose import NotedPose
 from skyline.pose.pose import Pose
 from skyline.progress import Progress

@@ -10,7 +10,7 @@ from skyline.cli.options import POSE, Crs, Dem, PhotoProjection, output_option
 from skyline.cli.photo_options import HeightSd, PhotoFile, PixelSd
 from skyline.cli.terminal import Terminal
 from skyline.files.vectors import VECTORS
-from skyline.ground import GroundErrors
+from skyline.ground.ground_view import GroundErrors
 from skyline.pose.pose_errors import PIXEL_SD_PX
 from skyline.report.vector_files import MAP_FILES
 from skyline.tasks.draw import PHOTO_FILES, DrawTask, draw_vectors

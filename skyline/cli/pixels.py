@@ -10,7 +10,7 @@ from typer import Option
 from skyline.cli.options import POSE, Crs, Dem, PhotoProjection, output_option
 from skyline.cli.photo_options import PhotoFile
 from skyline.cli.terminal import Terminal
-from skyline.pixel_places import PIXEL_FILES
+from skyline.ground.pixel_places import PIXEL_FILES
 from skyline.tasks.pixels import PixelsTask, place_pixels
 
 

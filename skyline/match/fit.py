@@ -47,8 +47,8 @@ class FitErrors:
     pitch_sd_deg: float = 5.0
     roll_sd_deg: float = 4.0
     """Standard deviations from a level camera. Refinement takes 6 and 3 degrees
-    (`AssumedErrors`); with these, fits lost one of 150 queries, and an unmarked
-    panorama was no longer named."""
+    (`AssumedErrors`); with these, fits lost one of 150 queries, and an unmarked panorama was no
+    longer named."""
     most: float = 8.0
     """Greater misses of a ray count as this, in expected errors: in coarse elevation models, rays
     of the right pose miss by several."""

@@ -51,16 +51,16 @@ class NotedPose:
     Attributes
     ----------
     lon, lat, heading_deg, fov_deg, pitch_deg, roll_deg, distortion : float
-        As in `skyline.pose.pose.Pose`.
+        As in `Pose`.
     wander : tuple of float
-        As in `skyline.pose.pose.Pose`.
+        As in `Pose`.
     eye_elevation_m : float or None
         Elevation of the camera above the DEM's datum.
     eye_height_m : float or None
         Height of the camera above the ground, in place of its elevation. By default a person
         holds the camera.
     covariance : tuple of tuple of float, or None
-        As in `skyline.pose.pose.Pose`.
+        As in `Pose`.
     doubt : str
         Why the pose is not to be trusted; empty where its file does not doubt it.
     """
@@ -80,7 +80,7 @@ class NotedPose:
 
     @classmethod
     def from_dict(cls, record: Any, projection: Projection, source: str = "pose") -> "NotedPose":
-        """Read a record as `skyline.pose.pose.Pose.to_dict` returns it, or with less.
+        """Read a record as `Pose.to_dict` returns it, or with less.
 
         Parameters
         ----------

@@ -19,7 +19,7 @@ from skyline.camera.camera import Camera
 from skyline.errors import InputError, suffix_of
 from skyline.files.disk import write_whole
 from skyline.geodesy.cell_grid import CellGrid
-from skyline.ground import GroundErrors, GroundPoints, GroundView
+from skyline.ground.ground_view import GroundErrors, GroundPoints, GroundView
 from skyline.report.geotiff import GEOTIFFS, geotiff
 from skyline.terrain.heightfield import HeightField
 

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 
 from skyline.arrays import UInt8Array
-from skyline.ground_shapes import PhotoShape
+from skyline.ground.ground_shapes import PhotoShape
 from skyline.photo.skyline import PhotoForm, PhotoSkyline
 from skyline.pose.pose import Pose
 from skyline.report.figure_files import encode_figure

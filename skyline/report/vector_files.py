@@ -15,8 +15,8 @@ from skyline.files.geojson import Json, collection, feature
 from skyline.files.shapes import LINE, POINT, POLYGON
 from skyline.files.vectors import PHOTO_MEMBER, VERTICES_LAYER
 from skyline.geodesy.map_frame import Frame
-from skyline.ground import GroundPoints
-from skyline.ground_shapes import GroundShape, PhotoShape
+from skyline.ground.ground_shapes import GroundShape, PhotoShape
+from skyline.ground.ground_view import GroundPoints
 from skyline.photo.skyline import PhotoForm
 from skyline.report.kml import add, add_coordinates, add_polygon, kml_document, xml_bytes
 

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from skyline.camera.pixels import Pixel
-from skyline.crossing import Crossing, Ray, check_enough, cross
 from skyline.errors import InputError
+from skyline.ground.crossing import Crossing, Ray, check_enough, cross
 from skyline.pose.pose_files import read_posed
 from skyline.tasks.listener import Listener
 from skyline.tasks.standing import joined_assumptions, shown_pose

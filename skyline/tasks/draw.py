@@ -11,8 +11,8 @@ from skyline.errors import InputError, suffix_of
 from skyline.files.disk import GEOJSON, check_outputs, on_disk, write_whole
 from skyline.files.shapes import Vectors
 from skyline.files.vectors import read_vectors
-from skyline.ground import GroundErrors, GroundView
-from skyline.ground_shapes import GroundShape, Jump, Measure, in_photo, on_ground
+from skyline.ground.ground_shapes import GroundShape, Jump, Measure, in_photo, on_ground
+from skyline.ground.ground_view import GroundErrors, GroundView
 from skyline.photo.photo import Photo
 from skyline.report.vector_files import MAP_FILES, write_in_photo, write_on_map
 from skyline.tasks.label import LABEL_FILES

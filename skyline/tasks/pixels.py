@@ -5,7 +5,7 @@ from pathlib import Path
 
 from skyline.errors import suffix_of
 from skyline.files.disk import check_outputs, on_disk
-from skyline.pixel_places import PIXEL_FILES, PixelPlaces
+from skyline.ground.pixel_places import PIXEL_FILES, PixelPlaces
 from skyline.tasks.listener import Listener
 from skyline.tasks.photo_task import PosedTask
 from skyline.tasks.standing import shown_pose

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scenes import candidate_at, perturbed
 
-from skyline.crossing import Ray, cross
 from skyline.errors import InputError
 from skyline.geodesy.earth import Curvature
+from skyline.ground.crossing import Ray, cross
 from skyline.photo.skyline import PhotoSkyline
 
 CURVED = Curvature()

@@ -10,8 +10,8 @@ from skyline.camera.projection import Projection
 from skyline.errors import InputError
 from skyline.files.shapes import LINE, POINT, POLYGON, Shape
 from skyline.geodesy.earth import Curvature
-from skyline.ground import GroundErrors
-from skyline.ground_shapes import in_photo, on_ground
+from skyline.ground.ground_shapes import in_photo, on_ground
+from skyline.ground.ground_view import GroundErrors
 from skyline.photo.skyline import PhotoSkyline
 from skyline.view import Viewer
 

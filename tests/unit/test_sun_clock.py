@@ -12,7 +12,7 @@ from skyline.angles import wrapped_deg
 from skyline.camera.projection import Projection
 from skyline.errors import InputError
 from skyline.geodesy.earth import Curvature
-from skyline.ground import GroundErrors
+from skyline.ground.ground_view import GroundErrors
 from skyline.photo.skyline import PhotoSkyline
 from skyline.sun import Body, Sky
 from skyline.sun_clock import body_pointing, heading_at, shadow_pointing, times_at

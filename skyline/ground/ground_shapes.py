@@ -16,7 +16,7 @@ from skyline.camera.pixels import in_picture
 from skyline.errors import InputError
 from skyline.files.shapes import POINT, POLYGON, Shape
 from skyline.geodesy.map_frame import Frame
-from skyline.ground import GroundErrors, GroundPixels, GroundPoints, GroundView
+from skyline.ground.ground_view import GroundErrors, GroundPixels, GroundPoints, GroundView
 from skyline.terrain.height_errors import height_correlation
 
 _STEP_PX = 4.0

@@ -1,0 +1,1 @@
+"""Ground in photos: its places, lines and areas, and where rays cross."""
