@@ -23,7 +23,7 @@ from skyline.horizons import steps_a_turn
 from skyline.local_horizons import azimuths_deg
 from skyline.progress import Progress
 from skyline.render.horizon import PanoramaRenderer
-from skyline.sky_view import sky_view_factor
+from skyline.sky.view_factor import sky_view_factor
 from skyline.terrain.dem import Dem, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints

@@ -22,8 +22,8 @@ from skyline.errors import InputError, library
 from skyline.files.cf import DEGREES, LAT, LON, METRES, TRUE_NORTH
 from skyline.geodesy.bounds import are_degrees
 from skyline.geodesy.crs import WGS84
-from skyline.sky_view import sky_view_factor
-from skyline.sun import Body, Interval, Sky, above, check_is_earth, day_of
+from skyline.sky.sun import Body, Interval, Sky, above, check_is_earth, day_of
+from skyline.sky.view_factor import sky_view_factor
 
 if TYPE_CHECKING:
     from geopandas import GeoDataFrame

@@ -29,8 +29,8 @@ from skyline.progress import Progress
 from skyline.render.context import Closeable, RenderThread
 from skyline.render.horizon import RenderConfig, RenderedScene
 from skyline.sightings import Sighting, aimed_at, most_prominent_first, visible_peaks
+from skyline.sky.sun import Body, Sky, check_is_earth
 from skyline.skylines import HEADINGS, Views
-from skyline.sun import Body, Sky, check_is_earth
 from skyline.terrain.dem import Dem, read_dem
 from skyline.terrain.ray_casting import first_hits_m
 from skyline.terrain.viewpoints import (

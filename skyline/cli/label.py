@@ -25,7 +25,7 @@ from skyline.cli.photo_options import (
     heading_of,
 )
 from skyline.cli.terminal import Terminal
-from skyline.sun import time_of
+from skyline.sky.sun import time_of
 from skyline.tasks.label import LABEL_FILES, LabelTask, label_photo
 from skyline.tasks.orient import CameraAt
 

@@ -6,7 +6,6 @@ from typing import Annotated
 import typer
 from typer import Option
 
-from skyline.alignments import DEFAULT_WITHIN_KM, standpoints
 from skyline.cli.options import (
     Crs,
     Dems,
@@ -21,7 +20,8 @@ from skyline.geodesy.bounds import Circle
 from skyline.geodesy.earth import Curvature
 from skyline.horizons import horizons_of
 from skyline.local_horizons import LocalHorizons
-from skyline.sun import Body, check_is_earth, day_of
+from skyline.sky.alignments import DEFAULT_WITHIN_KM, standpoints
+from skyline.sky.sun import Body, check_is_earth, day_of
 from skyline.tasks.standing import stand_with_notes, warn_of_border
 from skyline.tasks.terrain import curvature_of, read_terrain
 from skyline.terrain.heightfield import HeightField

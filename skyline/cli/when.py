@@ -12,7 +12,7 @@ from skyline.cli.options import POSE, AsJson, Crs, Dem, PhotoProjection
 from skyline.cli.photo_options import PhotoFile, pixels_of
 from skyline.cli.terminal import Terminal
 from skyline.errors import InputError
-from skyline.sun import Body, day_of, time_of
+from skyline.sky.sun import Body, day_of, time_of
 from skyline.tasks.standing import assumed_lines
 from skyline.tasks.when import Told, WhenTask, tell_when
 

@@ -16,7 +16,7 @@ from skyline.photo.read import find_skyline
 from skyline.photo.skyline import PhotoSkyline
 from skyline.pose.noted_pose import NotedPose
 from skyline.pose.pose import Pose
-from skyline.sun import Body, Sky
+from skyline.sky.sun import Body, Sky
 from skyline.tasks.listener import Listener
 from skyline.tasks.photo_task import CameraTask
 from skyline.tasks.standing import shown_pose

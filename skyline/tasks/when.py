@@ -5,8 +5,8 @@ from datetime import date, datetime
 
 from skyline.camera.pixels import Pixel
 from skyline.pose.pose import Pose
-from skyline.sun import Body, Sky, check_is_earth
-from skyline.sun_clock import (
+from skyline.sky.sun import Body, Sky, check_is_earth
+from skyline.sky.sun_clock import (
     ClockTime,
     SunHeading,
     body_pointing,

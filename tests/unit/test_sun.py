@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scenes import field_from
 
-from skyline.alignments import standpoints
 from skyline.errors import InputError
 from skyline.geodesy.earth import Curvature
-from skyline.sun import Body, Sky, time_of
+from skyline.sky.alignments import standpoints
+from skyline.sky.sun import Body, Sky, time_of
 
 pytest.importorskip("ephem")
 

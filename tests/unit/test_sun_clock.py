@@ -14,8 +14,8 @@ from skyline.errors import InputError
 from skyline.geodesy.earth import Curvature
 from skyline.ground.ground_view import GroundErrors
 from skyline.photo.skyline import PhotoSkyline
-from skyline.sun import Body, Sky
-from skyline.sun_clock import body_pointing, heading_at, shadow_pointing, times_at
+from skyline.sky.sun import Body, Sky
+from skyline.sky.sun_clock import body_pointing, heading_at, shadow_pointing, times_at
 from skyline.view import Viewer
 
 pytest.importorskip("ephem")

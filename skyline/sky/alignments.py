@@ -15,7 +15,7 @@ from skyline.arrays import BoolArray, Float64Array
 from skyline.errors import InputError
 from skyline.geodesy.bounds import Circle
 from skyline.geodesy.earth import Curvature
-from skyline.sun import Body, Sky, minutes_of
+from skyline.sky.sun import Body, Sky, minutes_of
 from skyline.terrain.heightfield import HeightField, heights_along
 from skyline.terrain.summits import SUMMIT_RADIUS_M, summit_near
 

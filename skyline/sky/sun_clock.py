@@ -23,7 +23,7 @@ from skyline.ground.ground_view import GroundErrors, GroundPoints, GroundView
 from skyline.photo.skyline import PhotoForm
 from skyline.pose.pose import Pose
 from skyline.pose.pose_errors import EAST, HEADING, NORTH, PIXEL_SD_PX, UP, Bearings
-from skyline.sun import Body, InSky, Sky, minutes_of
+from skyline.sky.sun import Body, InSky, Sky, minutes_of
 from skyline.terrain.height_errors import height_correlation
 
 _FARTHEST_SDS = 4.0

@@ -1,0 +1,1 @@
+"""The sun, the moon and the sky: where they stand, and what terrain hides."""
