@@ -7,8 +7,8 @@ import numpy as np
 from typer import Option
 
 from skyline.cli.terminal import Terminal
-from skyline.grids import GRID_EYE_HEIGHT_M, GRID_STEP_DEG, sky_view_grid
-from skyline.horizons import DEFAULT_STEP_DEG, horizons_of
+from skyline.horizons.grids import GRID_EYE_HEIGHT_M, GRID_STEP_DEG, sky_view_grid
+from skyline.horizons.horizon import DEFAULT_STEP_DEG, horizons_of
 from skyline.progress import Progress
 from skyline.terrain.dem import read_dem
 from skyline.terrain.heightfield import HeightField

@@ -17,7 +17,7 @@ from skyline.arrays import Float64Array
 from skyline.cli.terminal import Terminal
 from skyline.geodesy.earth import Curvature
 from skyline.geodesy.map_frame import Frame
-from skyline.horizons import DEFAULT_STEP_DEG
+from skyline.horizons.horizon import DEFAULT_STEP_DEG
 from skyline.progress import Progress
 from skyline.render.depth import DepthRenderer
 from skyline.render.horizon import HorizonRenderer, PanoramaRenderer, RenderConfig

@@ -22,7 +22,7 @@ from scipy.ndimage import map_coordinates, maximum_filter, minimum_filter
 from skyline.arrays import Float32Array, Float64Array, Int64Array
 from skyline.errors import InputError, some_of
 from skyline.geodesy.earth import Curvature
-from skyline.horizons import horizon, horizons_of
+from skyline.horizons.horizon import horizon, horizons_of
 from skyline.render.horizon import PanoramaRenderer
 from skyline.store.places import BINS
 from skyline.terrain.dem import read_dem, read_files

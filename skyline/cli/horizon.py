@@ -21,7 +21,7 @@ from skyline.cli.options import (
 from skyline.cli.terminal import Terminal
 from skyline.errors import InputError
 from skyline.files.disk import STANDARD, check_outputs
-from skyline.horizons import DEFAULT_STEP_DEG, horizons_of, steps_a_turn
+from skyline.horizons.horizon import DEFAULT_STEP_DEG, horizons_of, steps_a_turn
 from skyline.report.horizon_files import check_fit, horizon_csv, kind_of_horizons, write_horizons
 from skyline.tasks.standing import stand_with_notes, warn_of_border
 from skyline.tasks.terrain import curvature_of, read_terrain

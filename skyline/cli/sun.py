@@ -18,8 +18,8 @@ from skyline.cli.terminal import Terminal
 from skyline.errors import InputError
 from skyline.geodesy.bounds import Circle
 from skyline.geodesy.earth import Curvature
-from skyline.horizons import horizons_of
-from skyline.local_horizons import LocalHorizons
+from skyline.horizons.horizon import horizons_of
+from skyline.horizons.local_horizons import LocalHorizons
 from skyline.sky.alignments import DEFAULT_WITHIN_KM, standpoints
 from skyline.sky.sun import Body, check_is_earth, day_of
 from skyline.tasks.standing import stand_with_notes, warn_of_border

@@ -16,7 +16,7 @@ from skyline.errors import InputError, suffix_of
 from skyline.files.disk import write_whole
 from skyline.files.tables import csv_lines
 from skyline.geodesy.crs import is_of_earth, other_world_in_words
-from skyline.local_horizons import LocalHorizons
+from skyline.horizons.local_horizons import LocalHorizons
 
 
 def kind_of_horizons(path: Path) -> str:

@@ -15,7 +15,7 @@ import numpy as np
 from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array, refuse_text
 from skyline.errors import InputError
 from skyline.geodesy.earth import Curvature
-from skyline.horizons import horizons_of
+from skyline.horizons.horizon import horizons_of
 from skyline.peaks import Peaks, check_on_map
 from skyline.sightings import UNDERFOOT_SAMPLES, Sighting, most_prominent_first, visible_peaks
 from skyline.terrain.heightfield import HeightField

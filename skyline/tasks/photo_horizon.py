@@ -8,8 +8,8 @@ import numpy as np
 from skyline.camera.projection import Projection
 from skyline.errors import InputError
 from skyline.geodesy.earth import Curvature
-from skyline.horizons import horizons_of, with_photo
-from skyline.local_horizons import LocalHorizons
+from skyline.horizons.horizon import horizons_of, with_photo
+from skyline.horizons.local_horizons import LocalHorizons
 from skyline.photo.read import read_skyline
 from skyline.pose.pose_files import read_pose
 from skyline.tasks.listener import Listener

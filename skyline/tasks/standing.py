@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from skyline.local_horizons import LocalHorizons
+from skyline.horizons.local_horizons import LocalHorizons
 from skyline.skylines import FLAG_HOLE, FLAG_TRUNCATED
 from skyline.tasks.listener import Listener
 from skyline.terrain.heightfield import HeightField

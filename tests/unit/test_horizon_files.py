@@ -11,8 +11,8 @@ import pytest
 
 from skyline.errors import InputError
 from skyline.geodesy.crs import WGS84
-from skyline.horizons import with_photo
-from skyline.local_horizons import LocalHorizons
+from skyline.horizons.horizon import with_photo
+from skyline.horizons.local_horizons import LocalHorizons
 from skyline.report.horizon_files import check_fit, write_horizons
 
 

@@ -17,7 +17,7 @@ from skyline.angles import angle_between_deg
 from skyline.arrays import Float64Array
 from skyline.errors import InputError
 from skyline.geodesy.earth import Curvature
-from skyline.local_horizons import LocalHorizons, azimuths_deg
+from skyline.horizons.local_horizons import LocalHorizons, azimuths_deg
 from skyline.progress import Progress
 from skyline.render.horizon import PanoramaRenderer
 from skyline.skylines import MAX_WIDTH, Horizons

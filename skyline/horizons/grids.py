@@ -19,8 +19,8 @@ from skyline.errors import InputError, library
 from skyline.files.cf import DEGREES, METRES, TRUE_NORTH
 from skyline.geodesy.crs import lonlat_of, transformer
 from skyline.geodesy.earth import Curvature
-from skyline.horizons import steps_a_turn
-from skyline.local_horizons import azimuths_deg
+from skyline.horizons.horizon import steps_a_turn
+from skyline.horizons.local_horizons import azimuths_deg
 from skyline.progress import Progress
 from skyline.render.horizon import PanoramaRenderer
 from skyline.sky.view_factor import sky_view_factor
