@@ -34,8 +34,6 @@ from .match.result import to_geodataframe as to_geodataframe
 from .orientation import Orientation as Orientation
 from .orienter import Orienter as Orienter
 from .orienter import orient as orient
-from .peaks import Peaks as Peaks
-from .peaks import read_peaks as read_peaks
 from .photo.extract import Correction as Correction
 from .photo.noted_place import NotedPlace as NotedPlace
 from .photo.photo import Photo as Photo
@@ -83,10 +81,12 @@ from .terrain.provenance import Provenance as Provenance
 from .terrain.viewpoints import Viewpoints as Viewpoints
 from .terrain.viewpoints import stand_at as stand_at
 from .terrain.viewpoints import stand_on as stand_on
-from .view import SeenBody as SeenBody
-from .view import SeenPeak as SeenPeak
-from .view import Sight as Sight
-from .view import UnseenPeaks as UnseenPeaks
-from .view import Viewer as Viewer
+from .view.peaks import Peaks as Peaks
+from .view.peaks import read_peaks as read_peaks
+from .view.viewer import SeenBody as SeenBody
+from .view.viewer import SeenPeak as SeenPeak
+from .view.viewer import Sight as Sight
+from .view.viewer import UnseenPeaks as UnseenPeaks
+from .view.viewer import Viewer as Viewer
 
 __version__: str

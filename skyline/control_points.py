@@ -39,7 +39,7 @@ from skyline.pose.pose_errors import (
     Bearings,
 )
 from skyline.terrain.heightfield import ground_of, ground_slope
-from skyline.view import Viewer
+from skyline.view.viewer import Viewer
 
 LEAST_POINTS = 3
 """A place and a direction follow from three points, if the lens is known."""

@@ -15,8 +15,8 @@ from scipy.ndimage import maximum_filter
 from skyline import HeightField, Pose, Viewer
 from skyline.arrays import BoolArray, Float64Array
 from skyline.geodesy.earth import Curvature
-from skyline.peaks import Peaks
 from skyline.terrain.summits import SUMMIT_RADIUS_M
+from skyline.view.peaks import Peaks
 from skyline_bench.measuring import window_of
 from skyline_bench.queries.synthetic import SyntheticQuery, Truth
 

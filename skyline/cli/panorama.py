@@ -18,11 +18,11 @@ from skyline.cli.options import (
 )
 from skyline.cli.terminal import Terminal, size_in_words
 from skyline.errors import suffix_of
-from skyline.peaks import read_peaks
 from skyline.report.panorama_view import PanoramaConfig, panorama_view
 from skyline.tasks.standing import stand_with_notes
 from skyline.tasks.terrain import read_terrain
 from skyline.terrain.surface_model import read_surface
+from skyline.view.peaks import read_peaks
 
 _DRAWN = PanoramaConfig()
 

@@ -14,9 +14,9 @@ from skyline.cli.options import PEAKS_VARIABLE, bounds_option, panel, parse_boun
 from skyline.errors import InputError, numbers_in
 from skyline.geodesy.bounds import Circle
 from skyline.match.narrowing import NOTED_KM, Narrowing
-from skyline.peaks import find_place
 from skyline.report.exports import EXPORTS
 from skyline.report.posterior_files import POSTERIOR_FILES
+from skyline.view.peaks import find_place
 
 _known = panel("The photos")
 

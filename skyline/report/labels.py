@@ -9,7 +9,7 @@ from matplotlib.text import Text
 
 from skyline.errors import some_of
 from skyline.fonts import fonts_for, packages_with, undrawn_letters
-from skyline.sightings import S, Sighting
+from skyline.view.sightings import S, Sighting
 
 
 @dataclass(frozen=True, slots=True)

@@ -31,10 +31,10 @@ from skyline.geodesy.earth import EQUATOR_RADIUS_M
 from skyline.geodesy.map_frame import Frame
 from skyline.pose.pose import Ellipse, Pose, view_wedge_m
 from skyline.report.labels import Label, UnnamedPeaks, labels_of
-from skyline.sightings import Sighting
 from skyline.terrain.dem import Dem, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
+from skyline.view.sightings import Sighting
 
 _LEAST_SIDE_M = 2000.0
 """Least side of a candidate's map; the map of all candidates is at least twice as wide."""

@@ -14,7 +14,6 @@ from skyline.files.disk import REPORT_PAGE, write_whole
 from skyline.match.areas import terrain_at_hand
 from skyline.match.matcher import Matcher
 from skyline.match.result import MatchResult, listed
-from skyline.peaks import Peaks
 from skyline.photo.read import read_picture
 from skyline.photo.skyline import PhotoSkyline
 from skyline.pose.pose import COLUMNS, Ellipse, Pose
@@ -25,9 +24,10 @@ from skyline.report.html import figures, page, picture, section, table, text
 from skyline.report.labels import UnnamedPeaks
 from skyline.report.maps import detail_area, draw_match_map, overview_area
 from skyline.report.overlay import draw_overlay
-from skyline.sightings import Sighting
 from skyline.store.layout import PACKAGE_VERSION
-from skyline.view import SeenPeak, Sight, Viewer, peaks_in_picture
+from skyline.view.peaks import Peaks
+from skyline.view.sightings import Sighting
+from skyline.view.viewer import SeenPeak, Sight, Viewer, peaks_in_picture
 
 
 def report_matches(

@@ -22,7 +22,7 @@ from skyline.report.labels import (
     place_labels,
     with_distance,
 )
-from skyline.view import SeenBody, SeenPeak, Sight
+from skyline.view.viewer import SeenBody, SeenPeak, Sight
 
 _RENDERED_COLOUR = "#35d0ff"
 _DRAWN_COLOUR = "#ffd23f"

@@ -18,7 +18,6 @@ from skyline.arrays import Float64Array, UInt8Array
 from skyline.errors import suffix_of
 from skyline.files.disk import write_whole
 from skyline.geodesy.bounds import degrees_in_words
-from skyline.peaks import Peaks
 from skyline.report.figure_files import encode_figure
 from skyline.report.labels import (
     Label,
@@ -34,10 +33,11 @@ from skyline.report.panorama_view import (
     panorama_view,
     row_count,
 )
-from skyline.sightings import Sighting
 from skyline.terrain.dem import Dem, read_dem
 from skyline.terrain.surface_model import read_surface
 from skyline.terrain.viewpoints import stand_at_one
+from skyline.view.peaks import Peaks
+from skyline.view.sightings import Sighting
 
 PANORAMA_SUFFIXES = (".png", ".svg", ".pdf")
 """Suffixes of the files that panoramas can be written to."""

@@ -16,11 +16,11 @@ from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array, re
 from skyline.errors import InputError
 from skyline.geodesy.earth import Curvature
 from skyline.horizons.horizon import horizons_of
-from skyline.peaks import Peaks, check_on_map
-from skyline.sightings import UNDERFOOT_SAMPLES, Sighting, most_prominent_first, visible_peaks
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.ray_casting import ground_elevation_deg, highest_between_deg
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints
+from skyline.view.peaks import Peaks, check_on_map
+from skyline.view.sightings import UNDERFOOT_SAMPLES, Sighting, most_prominent_first, visible_peaks
 
 ROW_DEG = 120.0
 """The widest row of a panorama; a wider panorama has several rows of equal width."""

@@ -65,7 +65,8 @@ def standpoints(
     """Return where in a circle a body stands over a summit, by minute.
 
     The summit is the highest sample near a longitude and latitude. Ground nearer than 150 m to it
-    hides nothing, as for `skyline.sightings`. The day is the 24 hours around noon of the mean sun.
+    hides nothing, as for `skyline.view.sightings`. The day is the 24 hours around noon of the mean
+    sun.
 
     Raises `InputError` where the summit is off the map, or PyEphem is not installed.
     """

@@ -12,7 +12,7 @@ from skyline.tasks.listener import Listener
 from skyline.tasks.standing import joined_assumptions, shown_pose
 from skyline.tasks.terrain import read_terrain
 from skyline.terrain.heightfield import HeightField
-from skyline.view import Viewer
+from skyline.view.viewer import Viewer
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -22,7 +22,7 @@ from skyline.tasks.standing import assumed_lines, shown_pose
 from skyline.tasks.terrain import read_terrain
 from skyline.terrain.dem_files import dem_names
 from skyline.terrain.viewpoints import swap_hint
-from skyline.view import Viewer
+from skyline.view.viewer import Viewer
 
 PHOTO_FILES = tuple(dict.fromkeys([*GEOJSON, *LABEL_FILES]))
 """Suffixes of shapes in a photo: in its pixels, or drawn on it."""

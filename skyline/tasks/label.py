@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 from skyline.errors import InputError, some_of, suffix_of
 from skyline.files.disk import check_outputs, write_whole
 from skyline.orienter import orienters
-from skyline.peaks import read_peaks
 from skyline.photo.photo import Photo
 from skyline.photo.read import find_skyline
 from skyline.photo.skyline import PhotoSkyline
@@ -21,7 +20,8 @@ from skyline.tasks.listener import Listener
 from skyline.tasks.photo_task import CameraTask
 from skyline.tasks.standing import shown_pose
 from skyline.tasks.terrain import read_terrain
-from skyline.view import SeenBody, SeenPeak, UnseenPeaks, Viewer
+from skyline.view.peaks import read_peaks
+from skyline.view.viewer import SeenBody, SeenPeak, UnseenPeaks, Viewer
 
 if TYPE_CHECKING:
     from skyline.report.labels import UnnamedPeaks

@@ -41,7 +41,6 @@ from skyline.match.method import MATCHERS
 from skyline.match.posterior import Posterior
 from skyline.match.result import MatchResult
 from skyline.match.walk import check_times
-from skyline.peaks import Peaks, read_peaks
 from skyline.photo.image import EXPECTED
 from skyline.photo.skyline import PhotoSkyline
 from skyline.plugins import names_of
@@ -55,6 +54,7 @@ from skyline.store.read import is_store
 from skyline.survey.cluster import Runner, runner_of
 from skyline.tasks.listener import Listener
 from skyline.terrain.dem_files import dem_names
+from skyline.view.peaks import Peaks, read_peaks
 
 PAGE_PORT = 8765
 """The default port of `skyline serve`."""

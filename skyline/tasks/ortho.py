@@ -23,7 +23,7 @@ from skyline.tasks.listener import Listener
 from skyline.tasks.standing import assumed_lines, shown_pose
 from skyline.tasks.terrain import read_terrain, refuse_in_dem
 from skyline.terrain.dem_files import dem_names
-from skyline.view import Viewer
+from skyline.view.viewer import Viewer
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -16,7 +16,7 @@ from skyline.tasks.listener import Listener
 from skyline.tasks.standing import shown_pose
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import at_elevation
-from skyline.view import Viewer
+from skyline.view.viewer import Viewer
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

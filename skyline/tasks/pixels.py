@@ -11,7 +11,7 @@ from skyline.tasks.photo_task import PosedTask
 from skyline.tasks.standing import shown_pose
 from skyline.tasks.terrain import read_terrain, refuse_in_dem
 from skyline.terrain.dem_files import dem_names
-from skyline.view import Viewer
+from skyline.view.viewer import Viewer
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -18,7 +18,7 @@ from skyline.terrain.viewpoints import Viewpoints, stand_at
 if TYPE_CHECKING:
     from skyline.pose.noted_pose import NotedPose
     from skyline.pose.pose import Pose
-    from skyline.view import Viewer
+    from skyline.view.viewer import Viewer
 
 _log = logging.getLogger(__name__)
 

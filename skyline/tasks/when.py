@@ -18,7 +18,7 @@ from skyline.tasks.listener import Listener
 from skyline.tasks.photo_task import PosedTask
 from skyline.tasks.standing import shown_pose
 from skyline.tasks.terrain import read_terrain
-from skyline.view import Viewer
+from skyline.view.viewer import Viewer
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

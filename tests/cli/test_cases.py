@@ -13,10 +13,10 @@ from scenes import field_of
 
 from skyline.match.config import MatchConfig
 from skyline.match.rays import Rays
-from skyline.peaks import read_peaks
 from skyline.photo.read import read_skyline
 from skyline.report.figure_files import encode_figure
 from skyline.report.labels import labels_of
+from skyline.view.peaks import read_peaks
 
 TRIED = {
     "cone_web_mercator.tif", "crop_mode.jpg", "digital_zoom_2.jpg", "drone_120m.jpg",

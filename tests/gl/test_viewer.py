@@ -14,7 +14,7 @@ from skyline.errors import InputError
 from skyline.render.horizon import HorizonRenderer, RenderConfig
 from skyline.skylines import HEADINGS
 from skyline.terrain.viewpoints import stand_on
-from skyline.view import sight_of
+from skyline.view.viewer import sight_of
 
 EASTING_M, NORTHING_M = 601_800.0, 5_178_000.0
 COLUMN_DEG = 90.0 / 1024

@@ -10,7 +10,7 @@ from skyline.camera.projection import Projection
 from skyline.geodesy.earth import Curvature
 from skyline.match.contours import weighed_by_contours
 from skyline.photo.skyline import PhotoSkyline
-from skyline.view import Viewer
+from skyline.view.viewer import Viewer
 
 WIDTH_PX, HEIGHT_PX = 400, 240
 COVARIANCE_M2 = ((100.0, 0.0), (0.0, 100.0))

@@ -16,7 +16,7 @@ from skyline.errors import InputError, MissingFileError, OffMapError
 from skyline.photo.photo import read_photo
 from skyline.photo.skyline import PhotoSkyline
 from skyline.point_files import ControlPoints, read_control_points, write_control_points
-from skyline.view import Viewer
+from skyline.view.viewer import Viewer
 
 WIDTH_PX, HEIGHT_PX = 1200, 800
 FIELD = field_of(1000.0 + fractal(90, 100, 500.0, seed=4), 30.0)

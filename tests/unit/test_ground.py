@@ -13,7 +13,7 @@ from skyline.geodesy.earth import Curvature
 from skyline.ground.ground_shapes import in_photo, on_ground
 from skyline.ground.ground_view import GroundErrors
 from skyline.photo.skyline import PhotoSkyline
-from skyline.view import Viewer
+from skyline.view.viewer import Viewer
 
 PHOTO = PhotoSkyline(np.full(400, np.nan), np.zeros(400), 400, 300)
 PLANE = field_from(lambda east, north: 0.0 * east, 81, 50.0)

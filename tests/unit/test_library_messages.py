@@ -41,12 +41,12 @@ from skyline.errors import BuildError, BusyError, InputError, OffMapError
 from skyline.files.tables import read_table
 from skyline.match.config import MatchConfig
 from skyline.paper.plan import PlanConfig, lay_out, plan
-from skyline.peaks import read_peaks
 from skyline.plugins import load
 from skyline.report.exports import write_geopackage
 from skyline.report.results_file import RESULTS, ResultsFile
 from skyline.survey.cluster import Opening, Runner
 from skyline.survey.plans import uniform_grid
+from skyline.view.peaks import read_peaks
 
 SKYLINE = PhotoSkyline(np.full(8, 3.0), np.ones(8), 8, 8, 60.0)
 RESULT = MatchResult(SKYLINE, (candidate_at(0.0, 0.0),), 0.1, name="a.jpg")

@@ -19,7 +19,7 @@ from skyline.report.ortho import (
     write_ortho,
     write_pixel_lengths,
 )
-from skyline.view import Viewer
+from skyline.view.viewer import Viewer
 
 WIDTH_PX, HEIGHT_PX = 600, 400
 PHOTO = PhotoSkyline(np.full(WIDTH_PX, np.nan), np.zeros(WIDTH_PX), WIDTH_PX, HEIGHT_PX)

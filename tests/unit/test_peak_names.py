@@ -16,7 +16,7 @@ from skyline.report.overlay import draw_labels, draw_overlay
 from skyline.report.panorama import draw_panorama
 from skyline.report.panorama_view import panorama_view
 from skyline.survey.plans import uniform_grid
-from skyline.view import SeenPeak
+from skyline.view.viewer import SeenPeak
 
 NAMES = "Plain", f"{UNDRAWN} $1$"
 EAST_M = np.array([-600.0, 600.0])

@@ -14,7 +14,7 @@ from skyline.errors import InputError, OffMapError
 from skyline.geodesy.earth import Curvature
 from skyline.photo.skyline import PhotoSkyline
 from skyline.terrain.viewpoints import at_elevation
-from skyline.view import Viewer, sight_of
+from skyline.view.viewer import Viewer, sight_of
 from skyline_bench.truth import oracle
 
 FLAT = Curvature(enabled=False)

@@ -18,7 +18,6 @@ from store_rows import VIEWS_HEADER
 
 from skyline.errors import InputError
 from skyline.match.result import MatchResult
-from skyline.peaks import Peaks
 from skyline.photo.skyline import PhotoSkyline
 from skyline.report import exports
 from skyline.report.figure_files import encode_figure
@@ -28,7 +27,8 @@ from skyline.report.match_page import report_matches
 from skyline.report.overlay import draw_overlay
 from skyline.survey.plans import uniform_grid
 from skyline.terrain.viewpoints import stand_on
-from skyline.view import Viewer, sight_of
+from skyline.view.peaks import Peaks
+from skyline.view.viewer import Viewer, sight_of
 from skyline_bench.truth import oracle
 
 FIELD = field_of(fractal(120, 120, seed=1), west_m=0.0, north_m=3600.0)

@@ -11,11 +11,11 @@ from scenes import FRAME, candidate_at, field_from
 from skyline.errors import InputError, OffMapError
 from skyline.geodesy.earth import Curvature
 from skyline.geodesy.map_frame import Frame
-from skyline.peaks import Peaks, read_peaks
 from skyline.photo.skyline import PhotoSkyline
-from skyline.sightings import Sighting, visible_peaks
 from skyline.terrain.viewpoints import stand_on
-from skyline.view import Viewer
+from skyline.view.peaks import Peaks, read_peaks
+from skyline.view.sightings import Sighting, visible_peaks
+from skyline.view.viewer import Viewer
 
 FLAT = Curvature(enabled=False)
 

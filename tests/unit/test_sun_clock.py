@@ -16,7 +16,7 @@ from skyline.ground.ground_view import GroundErrors
 from skyline.photo.skyline import PhotoSkyline
 from skyline.sky.sun import Body, Sky
 from skyline.sky.sun_clock import body_pointing, heading_at, shadow_pointing, times_at
-from skyline.view import Viewer
+from skyline.view.viewer import Viewer
 
 pytest.importorskip("ephem")
 

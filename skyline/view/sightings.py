@@ -16,11 +16,11 @@ from unicodedata import bidirectional
 import numpy as np
 
 from skyline.geodesy.earth import Curvature
-from skyline.peaks import Peaks
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.ray_casting import highest_between_deg
 from skyline.terrain.summits import SUMMIT_RADIUS_M, prominence_m, summit_near
 from skyline.terrain.viewpoints import Viewpoints
+from skyline.view.peaks import Peaks
 
 UNDERFOOT_SAMPLES = 0.35
 """Ground nearer than this many samples hides nothing: the model is too coarse there."""

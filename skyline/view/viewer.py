@@ -21,14 +21,12 @@ from skyline.errors import InputError
 from skyline.geodesy.earth import Curvature
 from skyline.ground.ground_view import GroundView
 from skyline.ground.pixel_places import PixelPlaces
-from skyline.peaks import Peaks, check_on_map
 from skyline.photo.skyline import PhotoForm, PhotoSkyline
 from skyline.pose.noted_pose import NotedPose
 from skyline.pose.pose import Pose
 from skyline.progress import Progress
 from skyline.render.context import Closeable, RenderThread
 from skyline.render.horizon import RenderConfig, RenderedScene
-from skyline.sightings import Sighting, aimed_at, most_prominent_first, visible_peaks
 from skyline.sky.sun import Body, Sky, check_is_earth
 from skyline.skylines import HEADINGS, Views
 from skyline.terrain.dem import Dem, read_dem
@@ -43,6 +41,8 @@ from skyline.terrain.viewpoints import (
     stand_at_one,
     stand_on,
 )
+from skyline.view.peaks import Peaks, check_on_map
+from skyline.view.sightings import Sighting, aimed_at, most_prominent_first, visible_peaks
 
 _AROUND = 0.52
 """Distance to either side of the picture's middle up to which a rendered skyline is drawn, in
