@@ -31,9 +31,9 @@ from .match.posterior import Posterior as Posterior
 from .match.result import MatchResult as MatchResult
 from .match.result import to_dataframe as to_dataframe
 from .match.result import to_geodataframe as to_geodataframe
-from .orientation import Orientation as Orientation
-from .orienter import Orienter as Orienter
-from .orienter import orient as orient
+from .orientation.orienter import Orienter as Orienter
+from .orientation.orienter import orient as orient
+from .orientation.result import Orientation as Orientation
 from .photo.extract import Correction as Correction
 from .photo.noted_place import NotedPlace as NotedPlace
 from .photo.photo import Photo as Photo

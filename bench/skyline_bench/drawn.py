@@ -31,10 +31,10 @@ from skyline import (
 from skyline.angles import angle_between_deg
 from skyline.arrays import Float64Array
 from skyline.cli.terminal import Terminal
-from skyline.control_points import KnownCamera, PointErrors, fit_points
 from skyline.files.shapes import POLYGON, Shape
 from skyline.ground.ground_shapes import GroundShape, on_ground
-from skyline.point_files import ControlPoints
+from skyline.orientation.control_points import KnownCamera, PointErrors, fit_points
+from skyline.orientation.point_files import ControlPoints
 from skyline.survey.plans import map_bounds
 from skyline.terrain.provenance import DemOptions
 from skyline_bench import options

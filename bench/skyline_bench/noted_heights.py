@@ -15,7 +15,7 @@ import numpy as np
 from skyline import Orientation, PhotoSkyline
 from skyline.angles import angle_between_deg
 from skyline.geodesy.map_frame import Rectangle
-from skyline.orientation import RIGHT_DEG
+from skyline.orientation.result import RIGHT_DEG
 from skyline.photo.noted_place import NotedPlace
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M

@@ -23,8 +23,8 @@ from skyline.angles import angle_between_deg, wrapped_deg
 from skyline.cli.terminal import Terminal
 from skyline.errors import InputError, SkylineError
 from skyline.geodesy.map_frame import Rectangle
-from skyline.orientation import RIGHT_DEG
-from skyline.orienter import DEFAULT_POSITION_SD_M, KnownPosition, orienters
+from skyline.orientation.orienter import DEFAULT_POSITION_SD_M, KnownPosition, orienters
+from skyline.orientation.result import RIGHT_DEG
 from skyline.progress import Progress
 from skyline.render.depth import DepthRenderer
 from skyline.survey.plans import map_bounds

@@ -19,8 +19,8 @@ from skyline.errors import SkylineError
 from skyline.match import confidence
 from skyline.match.confidence import ORIENTED, Logistic
 from skyline.match.narrowing import Narrowing
-from skyline.orientation import LEAST_CONFIDENCE, RIGHT_DEG
-from skyline.orienter import KnownPosition, orienters
+from skyline.orientation.orienter import KnownPosition, orienters
+from skyline.orientation.result import LEAST_CONFIDENCE, RIGHT_DEG
 from skyline.progress import Progress
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.measuring import Row

@@ -27,12 +27,12 @@ from skyline.cli.photo_options import (
     heading_of,
 )
 from skyline.cli.terminal import Terminal
-from skyline.control_points import PointErrors
 from skyline.errors import InputError, SkylineError, check_suffix, printable
 from skyline.files.disk import STANDARD, check_outputs, write_whole
 from skyline.files.tables import csv_lines
-from skyline.orientation import Orientation
-from skyline.orienter import DEFAULT_POSITION_SD_M
+from skyline.orientation.control_points import PointErrors
+from skyline.orientation.orienter import DEFAULT_POSITION_SD_M
+from skyline.orientation.result import Orientation
 from skyline.pose.pose_errors import PIXEL_SD_PX
 from skyline.tasks.orient import CameraAt, orient_photos
 from skyline.tasks.points import PointsTask, orient_by_points

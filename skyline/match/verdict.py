@@ -5,7 +5,7 @@ All reasons for having no answer are here, in the order in which they are checke
 1. `too_little`, before the search: the photo shows too little skyline.
 2. `Verdict.of_search`, `Verdict.of_joint_search` and `Verdict.of_fit`, after a search of one photo,
    a search of several, and a fit without a search. A heading at a known place is judged by
-   `refusal_of`, with the doubts that `skyline.orienter` has.
+   `refusal_of`, with the doubts that `skyline.orientation.orienter` has.
 
 A pose is refused for lack of confidence before it is refused for its field of view. If the photo
 may have another projection, the refusal says that as well, since it may be the cause.

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from skyline.errors import InputError, some_of, suffix_of
 from skyline.files.disk import check_outputs, write_whole
-from skyline.orienter import orienters
+from skyline.orientation.orienter import orienters
 from skyline.photo.photo import Photo
 from skyline.photo.read import find_skyline
 from skyline.photo.skyline import PhotoSkyline

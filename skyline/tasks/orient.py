@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 from skyline.batch import Entry
 from skyline.errors import InputError, SkylineError
-from skyline.orientation import Orientation
-from skyline.orienter import KnownPosition, known_position, orienters
+from skyline.orientation.orienter import KnownPosition, known_position, orienters
+from skyline.orientation.result import Orientation
 from skyline.photo.noted_place import NotedPlace
 from skyline.terrain.heightfield import HeightField
 

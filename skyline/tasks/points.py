@@ -3,16 +3,16 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from skyline.control_points import KnownCamera, PointErrors, PointsFit, fit_points
 from skyline.errors import InputError, check_suffix
 from skyline.files.disk import check_outputs
-from skyline.photo.skyline import PhotoSkyline
-from skyline.point_files import (
+from skyline.orientation.control_points import KnownCamera, PointErrors, PointsFit, fit_points
+from skyline.orientation.point_files import (
     POINT_FILES,
     is_of_qgis,
     read_control_points,
     write_control_points,
 )
+from skyline.photo.skyline import PhotoSkyline
 from skyline.tasks.listener import Listener
 from skyline.tasks.photo_task import CameraTask
 from skyline.tasks.standing import shown_pose

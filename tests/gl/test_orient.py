@@ -14,7 +14,7 @@ from test_matcher import MIDDLE, SHARP
 from skyline import Orienter, orient
 from skyline.angles import angle_between_deg, wrapped_deg
 from skyline.errors import InputError
-from skyline.orientation import Orientation
+from skyline.orientation.result import Orientation
 from skyline.photo.noted_place import NotedPlace
 from skyline.photo.read import read_skyline
 from skyline.photo.skyline import PhotoSkyline

@@ -11,11 +11,11 @@ from scenes import candidate_at, field_of, fractal
 
 from skyline.angles import angle_between_deg
 from skyline.camera.projection import Projection
-from skyline.control_points import KnownCamera, PointErrors, fit_points
 from skyline.errors import InputError, MissingFileError, OffMapError
+from skyline.orientation.control_points import KnownCamera, PointErrors, fit_points
+from skyline.orientation.point_files import ControlPoints, read_control_points, write_control_points
 from skyline.photo.photo import read_photo
 from skyline.photo.skyline import PhotoSkyline
-from skyline.point_files import ControlPoints, read_control_points, write_control_points
 from skyline.view.viewer import Viewer
 
 WIDTH_PX, HEIGHT_PX = 1200, 800

@@ -41,7 +41,7 @@ from skyline.match.search import one_blas_thread
 from skyline.match.shard import LocalShard
 from skyline.match.solver import TEMPERATURE
 from skyline.match.verdict import confidence_in_words, refusal_of, too_little
-from skyline.orientation import LEAST_CONFIDENCE, Orientation
+from skyline.orientation.result import LEAST_CONFIDENCE, Orientation
 from skyline.photo.haze import farther_skylines
 from skyline.photo.image import Picture
 from skyline.photo.noted_place import NotedPlace

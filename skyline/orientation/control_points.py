@@ -21,9 +21,9 @@ from skyline.camera.warps import MOST_DISTORTION
 from skyline.errors import InputError, OffMapError, printable
 from skyline.ground.ground_view import GroundErrors
 from skyline.match.rays import Rays
-from skyline.orientation import RIGHT_DEG
+from skyline.orientation.point_files import ControlPoints
+from skyline.orientation.result import RIGHT_DEG
 from skyline.photo.skyline import PhotoSkyline
-from skyline.point_files import ControlPoints
 from skyline.pose.pose import Pose
 from skyline.pose.pose_errors import (
     ANGLES,

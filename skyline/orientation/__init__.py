@@ -1,0 +1,1 @@
+"""How a camera was held: by its skyline at a known place, or by control points."""
