@@ -6,7 +6,6 @@ from typing import Annotated
 import typer
 from typer import Argument, Option
 
-from skyline.batch import entries_of
 from skyline.cli.dem import TileSource
 from skyline.cli.options import DEM_ABOUT, DEM_VARIABLE, AsJson, PhotoProjection
 from skyline.cli.photo_options import (
@@ -26,6 +25,7 @@ from skyline.cli.photo_options import (
     heading_of,
 )
 from skyline.cli.terminal import Terminal
+from skyline.match.batch import entries_of
 from skyline.match.narrowing import NOTED_KM
 from skyline.tasks.locate import locate_photos
 from skyline.tasks.match import MatchTask

@@ -6,7 +6,6 @@ from typing import Annotated
 import typer
 from typer import Argument, Option
 
-from skyline.batch import entries_of
 from skyline.cli.options import (
     AsJson,
     PhotoProjection,
@@ -37,6 +36,7 @@ from skyline.cli.photo_options import (
 from skyline.cli.terminal import Terminal
 from skyline.errors import InputError
 from skyline.files.disk import STANDARD
+from skyline.match.batch import entries_of
 from skyline.match.matcher import FULL
 from skyline.report.results_file import RESULTS
 from skyline.tasks.match import (

@@ -14,7 +14,6 @@ from itertools import takewhile
 from pathlib import Path
 from typing import TypeVar
 
-from skyline.batch import Entry, MatcherFiles, match_here, match_many
 from skyline.cache import store_of
 from skyline.errors import (
     InputError,
@@ -33,6 +32,7 @@ from skyline.files.disk import (
     read_bytes,
     version_of,
 )
+from skyline.match.batch import Entry, MatcherFiles, match_here, match_many
 from skyline.match.config import MatchConfig
 from skyline.match.distant_shards import distant_shards, opening_of
 from skyline.match.joint_result import JointResult

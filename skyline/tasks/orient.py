@@ -3,8 +3,8 @@
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
-from skyline.batch import Entry
 from skyline.errors import InputError, SkylineError
+from skyline.match.batch import Entry
 from skyline.orientation.orienter import KnownPosition, known_position, orienters
 from skyline.orientation.result import Orientation
 from skyline.photo.noted_place import NotedPlace

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from skyline.batch import Entry, entries_of
 from skyline.camera.projection import Projection
 from skyline.errors import InputError
+from skyline.match.batch import Entry, entries_of
 
 
 def entries(folder: Path, projection: str) -> list[Entry]:

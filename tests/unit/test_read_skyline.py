@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
 
-from skyline import batch
 from skyline.errors import InputError
+from skyline.match import batch
 from skyline.photo.drawn_skyline import write_overlay
 from skyline.photo.photo import read_photo
 from skyline.photo.read import read_skyline
