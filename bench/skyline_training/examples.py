@@ -217,7 +217,7 @@ def _noted(
         easting_m, northing_m = query.truth.easting_m + off_m[0], query.truth.northing_m + off_m[1]
         if rng.random() < _NOTED_WRONG_SHARE:
             easting_m, northing_m = rng.uniform(west, east), rng.uniform(south, north)
-        place = PositionPrior(float(easting_m), float(northing_m), NOTED_ERRORS.gps_sd_m)
+        place = PositionPrior(float(easting_m), float(northing_m), NOTED_ERRORS.gps_scale_m)
         pairs.append((query, Prior(noted=place)))
     return pairs
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from skyline.arrays import Float64Array
-from skyline.match.noted_errors import NOTED_ERRORS, noted_altitude_sd_m
+from skyline.match.noted_errors import NOTED_ERRORS, noted_altitude_scale_m
 from skyline.photo.noted_place import NotedPlace
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, LEAST_EYE_HEIGHT_M
 
@@ -31,9 +31,9 @@ class _Aloft:
 
 
 _ALOFT = _Aloft()
-_LEAST_SD_M = 1e-6
+_LEAST_SCALE_M = 1e-6
 """Replaces the scale 0 of a known height, by which nothing can be divided."""
-_GREATEST_SD = 20.0
+_GREATEST_SCALES = 20.0
 """Greatest height of an eye that is tried, in scales of its prior above the usual height."""
 
 
@@ -43,30 +43,30 @@ class EyeHeightPrior:
 
     Most eyes are about as high as a person. Where the model cuts off a summit or a cliff, eyes are
     far above its ground, so the height has a Cauchy distribution about the usual one:
-    :math:`-\log p(h) = \log(1 + ((h - usual) / sd)^2)`.
+    :math:`-\log p(h) = \log(1 + ((h - usual) / scale)^2)`.
     """
 
     usual_m: float
-    sd_m: float
+    scale_m: float
     """Scale of the distribution; 0 for a known height."""
 
     @property
     def range_m(self) -> tuple[float, float]:
         """The smallest and the greatest height that are tried."""
-        least_m = self.usual_m if self.sd_m == 0.0 else LEAST_EYE_HEIGHT_M
-        return least_m, self.usual_m + _GREATEST_SD * self.sd_m
+        least_m = self.usual_m if self.scale_m == 0.0 else LEAST_EYE_HEIGHT_M
+        return least_m, self.usual_m + _GREATEST_SCALES * self.scale_m
 
     def cost(self, height_m: Float64Array) -> Float64Array:
         """Return the negative log density of heights (M,), up to a constant."""
-        return np.asarray(np.log1p(self._deviations(height_m) ** 2))
+        return np.asarray(np.log1p(self._in_scales(height_m) ** 2))
 
     def precision(self, height_m: Float64Array) -> Float64Array:
         """Return the precision (M,) of a normal distribution with the same pull."""
-        sd_m = max(self.sd_m, _LEAST_SD_M)
-        return np.asarray(2.0 / (sd_m**2 * (1.0 + self._deviations(height_m) ** 2)))
+        scale_m = max(self.scale_m, _LEAST_SCALE_M)
+        return np.asarray(2.0 / (scale_m**2 * (1.0 + self._in_scales(height_m) ** 2)))
 
-    def _deviations(self, height_m: Float64Array) -> Float64Array:
-        return (height_m - self.usual_m) / max(self.sd_m, _LEAST_SD_M)
+    def _in_scales(self, height_m: Float64Array) -> Float64Array:
+        return (height_m - self.usual_m) / max(self.scale_m, _LEAST_SCALE_M)
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +89,7 @@ class Standing:
     eye: EyeHeightPrior
     elevation_m: float | None = None
     """Elevation of an eye aloft, as the photo notes it."""
-    elevation_sd_m: float = NOTED_ERRORS.least_altitude_sd_m
+    elevation_scale_m: float = NOTED_ERRORS.least_altitude_scale_m
     """Scale of its error."""
     cost: float = 0.0
     """Negative log of the density of the usual height, given all heights that the photo notes."""
@@ -112,18 +112,18 @@ class Standing:
         aloft = _ALOFT.share if noted.takeoff_height_m is None else _ALOFT.drone_share
         peak = (1.0 - aloft) / (math.pi * ground.height_sd_m)
         found = [replace(on_ground, cost=cost(DEFAULT_EYE_HEIGHT_M, peak))]
-        for height in sorted(heights, key=lambda one: one.sd_m):
+        for height in sorted(heights, key=lambda one: one.scale_m):
             above_m = height.above_m
             if above_m - DEFAULT_EYE_HEIGHT_M <= _ALOFT.least_sds * ground.height_sd_m:
                 continue
-            if any(abs(above_m - other.eye.usual_m) <= height.sd_m for other in found[1:]):
+            if any(abs(above_m - other.eye.usual_m) <= height.scale_m for other in found[1:]):
                 continue
-            eye = EyeHeightPrior(above_m, max(height.sd_m, ground.height_sd_m))
+            eye = EyeHeightPrior(above_m, max(height.scale_m, ground.height_sd_m))
             found.append(
                 cls(
                     eye,
                     elevation_m=ground.elevation_m + above_m,
-                    elevation_sd_m=height.elevation_sd_m,
+                    elevation_scale_m=height.elevation_scale_m,
                     cost=cost(above_m, _density_aloft(aloft, above_m)),
                 )
             )
@@ -138,15 +138,15 @@ class _NotedHeight:
     """
 
     above_m: float
-    sd_m: float
+    scale_m: float
     """Scale of the error above the ground, whose elevation is not quite known."""
-    elevation_sd_m: float
+    elevation_scale_m: float
     """Scale of the error of the elevation."""
 
     def cost(self, above_m: float) -> float:
         """Return the negative log density of noting this height at others."""
-        off = (above_m - self.above_m) / self.sd_m
-        return NOTED_ERRORS.altitude_tail * math.log1p(off**2) + math.log(2.0 * self.sd_m)
+        off = (above_m - self.above_m) / self.scale_m
+        return NOTED_ERRORS.altitude_tail * math.log1p(off**2) + math.log(2.0 * self.scale_m)
 
 
 def _density_aloft(share: float, above_m: float) -> float:
@@ -159,10 +159,10 @@ def _noted_heights(noted: NotedPlace, ground: KnownGround) -> list[_NotedHeight]
     found = []
     if noted.takeoff_height_m is not None:
         drift_m = NOTED_ERRORS.takeoff_share * abs(noted.takeoff_height_m)
-        sd_m = math.hypot(ground.takeoff_relief_m, NOTED_ERRORS.takeoff_sd_m, drift_m)
-        found.append(_NotedHeight(noted.takeoff_height_m, sd_m, sd_m))
+        scale_m = math.hypot(ground.takeoff_relief_m, NOTED_ERRORS.takeoff_scale_m, drift_m)
+        found.append(_NotedHeight(noted.takeoff_height_m, scale_m, scale_m))
     if noted.elevation_m is not None:
         above_m = noted.elevation_m - ground.elevation_m
-        sd_m = noted_altitude_sd_m(noted)
-        found.append(_NotedHeight(above_m, math.hypot(sd_m, ground.relief_m), sd_m))
+        scale_m = noted_altitude_scale_m(noted)
+        found.append(_NotedHeight(above_m, math.hypot(scale_m, ground.relief_m), scale_m))
     return found

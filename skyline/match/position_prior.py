@@ -20,9 +20,9 @@ from skyline.arrays import Complex128Array, Float64Array
 from skyline.geodesy.map_frame import Frame
 from skyline.match.noted_errors import (
     NOTED_ERRORS,
-    noted_altitude_sd_m,
+    noted_altitude_scale_m,
     noted_heading_sd_deg,
-    noted_position_sd_m,
+    noted_position_scale_m,
 )
 from skyline.photo.noted_place import NotedPlace
 
@@ -48,7 +48,7 @@ class PositionPrior:
 
     easting_m: float
     northing_m: float
-    sd_m: float
+    scale_m: float
     """Scale s of the position's error."""
     grid_heading_deg: float | None = None
     """Grid azimuth of the optical axis."""
@@ -56,7 +56,7 @@ class PositionPrior:
     """Standard deviation of the heading, where the compass is not disturbed."""
     elevation_m: float | None = None
     """Elevation of the eye; its error is distributed like a position's error along one axis."""
-    elevation_sd_m: float = NOTED_ERRORS.least_altitude_sd_m
+    elevation_scale_m: float = NOTED_ERRORS.least_altitude_scale_m
     """Scale of that distribution."""
 
     @classmethod
@@ -70,11 +70,13 @@ class PositionPrior:
         east, north = (float(value) for value in frame.from_lonlat(*noted.lonlat_deg))
         if not (np.isfinite(east) and np.isfinite(north)):
             return None  # Too far from the frame to have a place in it.
-        prior = cls(east, north, noted_position_sd_m(noted))
+        prior = cls(east, north, noted_position_scale_m(noted))
         if noted.accuracy_m is not None:
             # Other altitudes would pull an eye of unknown place to ground that is too high.
             prior = replace(
-                prior, elevation_m=noted.elevation_m, elevation_sd_m=noted_altitude_sd_m(noted)
+                prior,
+                elevation_m=noted.elevation_m,
+                elevation_scale_m=noted_altitude_scale_m(noted),
             )
         return prior.looking_as(noted, frame)
 
@@ -105,7 +107,7 @@ class PositionPrior:
             right *= 1.0 - _WRONG.compass_share
             cost = cost - np.log(_WRONG.compass_share + right * np.exp(-0.5 * off**2))
         if self.elevation_m is not None:
-            off = (eye_m - self.elevation_m) / self.elevation_sd_m
+            off = (eye_m - self.elevation_m) / self.elevation_scale_m
             cost = cost + NOTED_ERRORS.altitude_tail * np.log1p(off**2)
         return np.asarray(cost)
 
@@ -119,21 +121,21 @@ class PositionPrior:
         `cost`.
         """
         tail = self._tail(place_m)
-        pull = 3.0 * self._peak * tail**-2.5 / self.sd_m**2
+        pull = 3.0 * self._peak * tail**-2.5 / self.scale_m**2
         across = pull / (_WRONG.share + self._peak * tail**-1.5)
         off = place_m - complex(self.easting_m, self.northing_m)
         offset_m = np.column_stack([off.real, off.imag, np.zeros_like(eye_m)])
         precision = np.stack([across, across, np.zeros_like(across)], axis=1)
         if self.elevation_m is not None:
             offset_m[:, 2] = eye_m - self.elevation_m
-            spread = self.elevation_sd_m**2 + offset_m[:, 2] ** 2
+            spread = self.elevation_scale_m**2 + offset_m[:, 2] ** 2
             precision[:, 2] = 2.0 * NOTED_ERRORS.altitude_tail / spread
         return precision, offset_m
 
     @property
     def _peak(self) -> float:
-        return (1.0 - _WRONG.share) * _WRONG.anywhere_m2 / (2.0 * np.pi * self.sd_m**2)
+        return (1.0 - _WRONG.share) * _WRONG.anywhere_m2 / (2.0 * np.pi * self.scale_m**2)
 
     def _tail(self, place_m: Complex128Array) -> Float64Array:
         off = place_m - complex(self.easting_m, self.northing_m)
-        return np.asarray(1.0 + (off.real**2 + off.imag**2) / self.sd_m**2)
+        return np.asarray(1.0 + (off.real**2 + off.imag**2) / self.scale_m**2)

@@ -20,8 +20,8 @@ from skyline.store.places import Places
 _FAR_M = 1e9
 """Stands for a place that is not on a map."""
 _REACH_M = 1000.0
-"""A search looks within this distance of the noted place, plus `_REACH_SDS` of its scales."""
-_REACH_SDS = 3.0
+"""A search looks within this distance of the noted place, plus `_REACH_SCALES` of its scales."""
+_REACH_SCALES = 3.0
 _CONVERGENCE_DEG = 5.0
 """Bound on the convergence of meridians within a frame; screening searches turns this much farther
 to either side of a given heading."""
@@ -129,7 +129,7 @@ class Prior:
         if self.noted is None or self.frame is None:
             return None
         lon, lat = self.frame.to_lonlat(self.noted.easting_m, self.noted.northing_m)
-        reach_m = _REACH_M + _REACH_SDS * self.noted.sd_m
+        reach_m = _REACH_M + _REACH_SCALES * self.noted.scale_m
         return self.around(self.frame, lon=float(lon), lat=float(lat), radius_km=1e-3 * reach_m)
 
     def swap_hint(self, places: Places) -> str:

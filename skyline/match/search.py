@@ -422,7 +422,7 @@ def _with_one_noted_place(
     Positions that one phone notes share their error, so they do not count as independent.
     """
     noted = [prior.noted for _, prior in photos if prior.noted is not None]
-    best = min(noted, key=lambda place: place.sd_m, default=None)
+    best = min(noted, key=lambda place: place.scale_m, default=None)
     return [
         (rays, prior if prior.noted is best else replace(prior, noted=None))
         for rays, prior in photos

@@ -289,7 +289,7 @@ class Solver:
         """Return how far unknowns (P,) deviate if the skyline tells nothing of them."""
         sd = np.full(self.size, np.inf)
         sd[[EAST, NORTH]] = _PRIORS.position_sd_m
-        sd[EYE_HEIGHT] = max(self._eye.sd_m, _LEAST_SD_M)
+        sd[EYE_HEIGHT] = max(self._eye.scale_m, _LEAST_SD_M)
         sd[HEADING] = np.pi
         # The uniform distribution over the range of fields of view has this deviation; a field of
         # view that is known exactly has no range.

@@ -30,7 +30,7 @@ from skyline.errors import InputError, printable
 from skyline.match import confidence
 from skyline.match.eye_prior import EyeHeightPrior, KnownGround, Standing
 from skyline.match.narrowing import Narrowing
-from skyline.match.noted_errors import noted_position_sd_m
+from skyline.match.noted_errors import noted_position_scale_m
 from skyline.match.other_projection import find_other_projection
 from skyline.match.position_prior import PositionPrior
 from skyline.match.prior import Prior
@@ -317,7 +317,7 @@ class Orienter(Closeable):
             self._north,
             self._position_sd_m,
             elevation_m=standing.elevation_m,
-            elevation_sd_m=standing.elevation_sd_m,
+            elevation_scale_m=standing.elevation_scale_m,
         )
         # The photo need not note a position: the heading is turned at the known one.
         return Prior(narrowing, self.frame, noted=known.looking_as(noted, self.frame))
@@ -548,7 +548,7 @@ def known_position(
     """
     usual_m = DEFAULT_POSITION_SD_M
     if lonlat_deg is None:
-        lonlat_deg, usual_m = noted.lonlat_deg, noted_position_sd_m(noted)
+        lonlat_deg, usual_m = noted.lonlat_deg, noted_position_scale_m(noted)
     if lonlat_deg is None:
         aside = f" ({noted.left_aside})" if noted.left_aside else ""
         raise InputError(

@@ -20,8 +20,8 @@ class CameraAt:
     elevation_m: float | None = None
     """Elevation of the eye above the DEM's datum; only with a position."""
     position_sd_m: float | None = None
-    """Standard deviation of the position; by default 50 m, or `noted_position_sd_m` for a photo's
-    own position."""
+    """Standard deviation of the position; by default 50 m, or `noted_position_scale_m` for a
+    photo's own position."""
     heading_deg: tuple[float, float] | None = None
     """Heading from true north, and its greatest error; by default any heading is possible."""
 

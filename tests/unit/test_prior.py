@@ -43,7 +43,7 @@ def test_its_compass_is_a_weak_hint():
 
 
 def test_its_pull_is_the_slope_of_the_cost():
-    heavy = replace(NOTED, elevation_m=50.0, elevation_sd_m=15.0)
+    heavy = replace(NOTED, elevation_m=50.0, elevation_scale_m=15.0)
     for off_m, eye_m in ((1.0, 2.0), (30.0, 45.0), (300.0, 90.0)):
         place, eye = THERE + off_m, SEA + eye_m
         precision, offset_m = heavy.pull(place, eye)
@@ -126,11 +126,11 @@ def test_a_drone_below_its_take_off_is_as_high_as_its_altitude_says():
 def test_standings_share_one_probability():
     """Of 1,000 photos with an altitude 50 m above the ground, by hand."""
     ground, aloft = Standing.of_noted(noted_at(1050.0), KnownGround(1000.0, 0.0, 10.0, 5.0))
-    sd_m = np.hypot(30.0 / np.sqrt(2.0), 15.0)
-    on_ground = 0.95 / (np.pi * 5.0) * (1.0 + (48.0 / sd_m) ** 2) ** -1.5
+    scale_m = np.hypot(30.0 / np.sqrt(2.0), 15.0)
+    on_ground = 0.95 / (np.pi * 5.0) * (1.0 + (48.0 / scale_m) ** 2) ** -1.5
     in_flight = 0.05 * 2.0 / (np.pi * 100.0) / (1.0 + 0.5**2)
     assert aloft.cost - ground.cost == pytest.approx(np.log(on_ground / in_flight))
-    assert (aloft.elevation_m, aloft.elevation_sd_m) == (1050.0, pytest.approx(sd_m))
+    assert (aloft.elevation_m, aloft.elevation_scale_m) == (1050.0, pytest.approx(scale_m))
     # On a slope, where the ground is not quite known, an altitude above it says less.
     slope, over_it = Standing.of_noted(noted_at(1050.0), KnownGround(1000.0, 30.0, 10.0, 5.0))
     assert over_it.cost - slope.cost > aloft.cost - ground.cost + 0.4
