@@ -113,6 +113,11 @@ class HeightErrors(Rows):
             rough = 1.0 / np.hypot(distance, reach_m)
         return cls(factor, rough, blur_rad, rise_rad, beyond_rad)
 
+    @property
+    def may_rise(self) -> BoolArray:
+        """Whether terrain past the data's edge may rise above the skyline (M, R)."""
+        return self.beyond_rad > 0.0
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Likelihood(Rows):
@@ -135,6 +140,8 @@ class Likelihood(Rows):
     """(M, R, K) float64. `HeightErrors.factor` times the standard deviation of heights."""
     inner: Float64Array
     """(M, K, K) float64. Inverse of I + factor^T weight factor."""
+    may_rise: BoolArray
+    """(M, R) bool. `HeightErrors.may_rise`."""
 
     def product(self, left: Float64Array, right: Float64Array) -> Float64Array:
         """Return left C^-1 right^T (M, P, Q), with the covariance C.
@@ -225,26 +232,20 @@ def likelihood(
         residual, trust * terrain_probability * known / variance, factor
     )
     spread = ((factor @ inner) * factor).sum(axis=-1)
-    off = residual - explained
-    half_squares = 0.5 * (off**2 + spread) / variance
-    bare, log_other = _bare_and_other(residual, off, variance + spread, errors.rise_rad, scale)
-    may_rise = errors.beyond_rad > 0.0
-    if may_rise.any():
-        hidden, density = _raised(off, errors.beyond_rad, np.sqrt(variance + spread), 1.0)
-        shown = bare * scale / np.sqrt(2.0 * np.pi * variance) * np.exp(-half_squares)
-        bare, log_other = _bare_and_other_past_edge(
-            bare, log_other, shown, trust * known, may_rise, hidden, scale * density
-        )
-    log_peak = np.log(bare) - 0.5 * np.log(2.0 * np.pi * variance / scale**2)
+    left = _Left(residual - explained, spread, variance, scale)
+    mixture = _Mixture.of(residual).under_surface(left, errors)
+    mixture = mixture.past_edge(left, errors, trust * known)
+    half_squares = left.half_squares
+    log_peak = np.log(mixture.bare) - 0.5 * np.log(2.0 * np.pi * variance / scale**2)
     log_terrain = log_peak - half_squares
-    odds = np.exp(np.clip(log_terrain - log_other, -GREATEST_LOG_ODDS, GREATEST_LOG_ODDS))
+    odds = np.exp(np.clip(log_terrain - mixture.log_other, -GREATEST_LOG_ODDS, GREATEST_LOG_ODDS))
     terrain_probability = known * odds / (1.0 + odds)
     weight = trust * terrain_probability / variance
     explained, inner, half_log_det = _explained(residual, weight, factor)
     # The entropy of these probabilities, and the log densities that they weigh, add up to one
     # logarithm. This needs odds below their upper bound: with the solver's least deviation they are
     # at most e^10.
-    each = -log_other - known * np.log1p(odds)
+    each = -mixture.log_other - known * np.log1p(odds)
     each += terrain_probability * (log_terrain - log_peak)
     half_chi2 = 0.5 * (weight * residual * (residual - explained)).sum(axis=1)
     return Likelihood(
@@ -256,6 +257,7 @@ def likelihood(
         weight=weight,
         factor=factor,
         inner=inner,
+        may_rise=errors.may_rise,
     )
 
 
@@ -276,55 +278,109 @@ def _factor_at_nodes(
     return np.asarray(between @ root / distance_m[..., np.newaxis])
 
 
-def _bare_and_other(
-    residual: Float64Array,
-    off: Float64Array,
-    variance: Float64Array,
-    rise_rad: Float64Array,
-    scale: Float64Array,
-) -> tuple[Float64Array | float, Float64Array]:
-    """Return how likely columns show bare terrain, and where they lie otherwise.
+@dataclass(frozen=True, slots=True, eq=False)
+class _Left:
+    """What height errors leave of residuals, and its errors."""
 
-    The first result is the prior probability that a column shows the terrain's skyline, with no
-    tree or house above it; the second (M, R) is the log density of a residual together with all
-    else that its column may show. ``off`` is what height errors leave of the residuals, with its
-    ``variance``.
+    off_rad: Float64Array
+    """(M, R) float64. Residuals less the part that height errors explain."""
+    spread: Float64Array
+    """(M, R) float64. Variance of that part."""
+    variance: Float64Array
+    """(M, R) float64. Variance of the errors of each column by itself."""
+    scale: Float64Array
+    """(M, 1) float64. See `likelihood`."""
+
+    @property
+    def half_squares(self) -> Float64Array:
+        """Expected squares (M, R) over twice the columns' own variances."""
+        return np.asarray(0.5 * (self.off_rad**2 + self.spread) / self.variance)
+
+    def raised(self, rise_rad: Float64Array, share: float) -> tuple[Float64Array, Float64Array]:
+        """Return the probability (M, R) that something stands above the terrain.
+
+        The second result is this probability times the density of the residual, by angle. The
+        thing's height is uniform up to ``rise_rad``, blurred by the errors. The probability is
+        ``share`` for a rise far above the errors, and falls as the rise shrinks.
+        """
+        from scipy.special import ndtr  # noqa: PLC0415  (slow to load, seldom needed)
+
+        sd_rad = np.sqrt(self.variance + self.spread)
+        rise_rad = np.clip(rise_rad, _MODEL.least_rise_sds * sd_rad, _MODEL.range_rad)
+        within = ndtr(self.off_rad / sd_rad) - ndtr((self.off_rad - rise_rad) / sd_rad)
+        raised = share * rise_rad / (rise_rad + 2.0 * sd_rad)
+        return raised, raised * np.asarray(within / rise_rad)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Mixture:
+    """What columns may show: the bare terrain's skyline, or something else."""
+
+    bare: Float64Array | float
+    """(M, R) float64. Prior probability of the bare terrain's skyline."""
+    log_other: Float64Array
+    """(M, R) float64. Log density of a residual together with all else that its column may show."""
+
+    @classmethod
+    def of(cls, residual: Float64Array) -> "_Mixture":
+        """Return the mixture without a surface model and a data edge."""
+        bare = 1.0 - _MODEL.above_share - _MODEL.below_share
+        return cls(bare, log_density_without_terrain(residual))
+
+    def under_surface(self, left: _Left, errors: HeightErrors) -> "_Mixture":
+        """Return the mixture where a surface model bounds trees and houses."""
+        has_surface = np.isfinite(errors.rise_rad)
+        if not has_surface.any():
+            return self
+        uncovered = 1.0 - 2.0 * _MODEL.below_share
+        covered, density = left.raised(errors.rise_rad, uncovered)
+        density = left.scale * density + _DENSITY_BELOW
+        return _Mixture(
+            np.where(has_surface, uncovered - covered, self.bare),
+            np.where(has_surface, np.log(density), self.log_other),
+        )
+
+    def past_edge(self, left: _Left, errors: HeightErrors, trust: Float64Array) -> "_Mixture":
+        """Return the mixture where terrain past the data's edge may rise, too.
+
+        It hides what the model shows in a share of the columns where it may rise. ``trust`` (M, R)
+        is 0 in unknown columns.
+        """
+        may_rise = errors.may_rise
+        if not may_rise.any():
+            return self
+        hidden, density = left.raised(errors.beyond_rad, 1.0)
+        density = left.scale * density
+        peak = self.bare * left.scale / np.sqrt(2.0 * np.pi * left.variance)
+        other = np.exp(self.log_other)
+        seen = peak * np.exp(-left.half_squares) + other
+        share = _beyond_share(trust * may_rise, hidden, density, seen)
+        either = other * (1.0 - share * hidden) + share * density
+        return _Mixture(
+            np.where(may_rise, self.bare * (1.0 - share * hidden), self.bare),
+            np.where(may_rise, np.log(either), self.log_other),
+        )
+
+
+def _beyond_share(
+    trust: Float64Array, hidden: Float64Array, density: Float64Array, seen: Float64Array
+) -> Float64Array:
+    """Return the share (M, 1) of columns in which terrain past the edge rises.
+
+    Only the columns where it may rise count; in all others ``trust`` (M, R) is 0. The share is the
+    likeliest one of at most `ErrorModel.beyond_share`. If each column had that prior by itself, a
+    right pose that looks across the edge at nothing higher would seem unlikely. The terrain hides
+    the model's skyline in a column with the share times the probability ``hidden``. The residual
+    then has the share times ``density``, and the density ``seen`` otherwise.
     """
-    bare = 1.0 - _MODEL.above_share - _MODEL.below_share
-    log_other = log_density_without_terrain(residual)
-    has_surface = np.isfinite(rise_rad)
-    if not has_surface.any():
-        return bare, log_other
-    uncovered = 1.0 - 2.0 * _MODEL.below_share
-    covered, density = _raised(off, rise_rad, np.sqrt(variance), uncovered)
-    density = scale * density + _DENSITY_BELOW
-    return (
-        np.where(has_surface, uncovered - covered, bare),
-        np.where(has_surface, np.log(density), log_other),
-    )
-
-
-def _bare_and_other_past_edge(
-    bare: Float64Array | float,
-    log_other: Float64Array,
-    shown: Float64Array,
-    trust: Float64Array,
-    may_rise: BoolArray,
-    hidden: Float64Array,
-    density: Float64Array,
-) -> tuple[Float64Array, Float64Array]:
-    """Return `_bare_and_other` where terrain past the data's edge may rise, too.
-
-    ``shown`` is the density of a residual together with bare terrain; for ``hidden`` and
-    ``density`` see `_beyond_share`.
-    """
-    other = np.exp(log_other)
-    share = _beyond_share(trust * may_rise, hidden, density, shown + other)
-    either = other * (1.0 - share * hidden) + share * density
-    return (
-        np.where(may_rise, bare * (1.0 - share * hidden), bare),
-        np.where(may_rise, np.log(either), log_other),
-    )
+    count = np.maximum(trust.sum(axis=1, keepdims=True), 1e-12)
+    share = np.full_like(count, _MODEL.beyond_share)
+    for _ in range(_MODEL.share_rounds):
+        risen = share * density
+        probability = risen / (risen + (1.0 - share * hidden) * seen)
+        share = (trust * probability).sum(axis=1, keepdims=True) / count
+        share = np.minimum(share, _MODEL.beyond_share)
+    return np.asarray(share)
 
 
 def cost_of_share(columns: Float64Array, temperature: float) -> Float64Array:
@@ -350,45 +406,6 @@ def log_density_without_terrain(residual_rad: Float64Array) -> Float64Array:
     """Return the logarithm of `density_without_terrain`."""
     above = np.log(_DENSITY_ABOVE)
     return np.asarray(np.where(residual_rad >= 0.0, above, np.log(_DENSITY_BELOW)))
-
-
-def _raised(
-    off_rad: Float64Array, rise_rad: Float64Array, sd_rad: Float64Array, share: float
-) -> tuple[Float64Array, Float64Array]:
-    """Return the probability and density of objects above the terrain.
-
-    The first result (M, R) is the probability that a column shows an object; the second is this
-    probability times the density of the column's residual. The object's height is uniform up to the
-    rise, blurred by the errors. The probability is ``share`` for a rise far above the errors, and
-    falls as the rise shrinks.
-    """
-    from scipy.special import ndtr  # noqa: PLC0415  (slow to load, seldom needed)
-
-    rise_rad = np.clip(rise_rad, _MODEL.least_rise_sds * sd_rad, _MODEL.range_rad)
-    within = ndtr(off_rad / sd_rad) - ndtr((off_rad - rise_rad) / sd_rad)
-    raised = share * rise_rad / (rise_rad + 2.0 * sd_rad)
-    return raised, raised * np.asarray(within / rise_rad)
-
-
-def _beyond_share(
-    trust: Float64Array, hidden: Float64Array, density: Float64Array, seen: Float64Array
-) -> Float64Array:
-    """Return in what share (M, 1) of columns terrain past the edge rises.
-
-    Only the columns where it may rise count; in all others ``trust`` (M, R) is 0. The share is the
-    likeliest one of at most `ErrorModel.beyond_share`. If each column had that prior by itself, a
-    right pose that looks across the edge at nothing higher would seem unlikely. The terrain hides
-    the model's skyline in a column with the share times the probability ``hidden``. The residual
-    then has the share times ``density``, and the density ``seen`` otherwise.
-    """
-    count = np.maximum(trust.sum(axis=1, keepdims=True), 1e-12)
-    share = np.full_like(count, _MODEL.beyond_share)
-    for _ in range(_MODEL.share_rounds):
-        risen = share * density
-        probability = risen / (risen + (1.0 - share * hidden) * seen)
-        share = (trust * probability).sum(axis=1, keepdims=True) / count
-        share = np.minimum(share, _MODEL.beyond_share)
-    return np.asarray(share)
 
 
 def _explained(

@@ -363,7 +363,7 @@ class Refinement:
             skyline_m=1.0 / np.maximum(nearness, 1e-6),
             effective_columns=found.effective_columns,
             height_sd_m=solver.height_sds_m[particles.fit.height_index],
-            beyond_share=np.asarray((solver.beyond_rad(linear) > 0.0) @ trust / trust.sum()),
+            beyond_share=np.asarray(found.may_rise @ trust / trust.sum()),
             margin=poses.rival_margin(RIGHT_WITHIN_M, SAME_VIEW_DEG),
             angle_sd_deg=self._angle_sd_deg(particles, covariance),
         )

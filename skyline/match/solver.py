@@ -449,7 +449,7 @@ class Solver:
             elevation_tan=y,
         )
 
-    def beyond_rad(self, linear: Linearization) -> Float64Array:
+    def _beyond_rad(self, linear: Linearization) -> Float64Array:
         """Return how far terrain past the data's edge may rise.
 
         The angle (M, R) is measured from the skyline. It is below 0 where no such terrain reaches
@@ -470,7 +470,7 @@ class Solver:
             blur_rad,
             self.mode.nodes,
             linear.rise_rad,
-            self.beyond_rad(linear),
+            self._beyond_rad(linear),
         )
 
     def _likelihood(self, fit: Fit, linear: Linearization, errors: HeightErrors) -> Likelihood:
@@ -497,7 +497,7 @@ class Solver:
         prior = 0.5 * fit.state**2 @ self._prior
         prior += _PRIORS.lens_weight * self.rays.lens.cost(fit.state[:, LOG_SCALE])
         prior += _PRIORS.terrain_weight * self._eye.cost(fit.state[:, EYE_HEIGHT])
-        may_rise = (errors.beyond_rad > 0.0) & np.isfinite(linear.residual_rad)
+        may_rise = found.may_rise & np.isfinite(linear.residual_rad)
         prior += cost_of_share(may_rise @ self.rays.weight, TEMPERATURE)
         if self._noted is not None:
             prior += TEMPERATURE * self._noted.cost(
