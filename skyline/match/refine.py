@@ -22,18 +22,17 @@ import numpy as np
 
 from skyline.angles import angle_between_deg
 from skyline.arrays import BoolArray, Complex128Array, Float64Array, IntArray, Rows
+from skyline.match.curves import EYE_HEIGHT, Curves
 from skyline.match.eye_prior import EyeHeightPrior
 from skyline.match.likelihood import GREATEST_LOG_ODDS
 from skyline.match.prior import NOTHING_KNOWN, Prior
 from skyline.match.rays import Rays
 from skyline.match.solver import (
-    EYE_HEIGHT,
     FINE,
     FOLLOW,
     ROUGH,
     SCOUT,
     TEMPERATURE,
-    Curves,
     Fit,
     Solver,
 )

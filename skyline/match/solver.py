@@ -1,17 +1,7 @@
-r"""Damped Gauss-Newton on a photo's residuals, for all of its pose.
+"""Damped Gauss-Newton on a photo's residuals, for all of its pose.
 
-An eye that moves by (e, n, up) sees a skyline point at azimuth a, elevation tangent y and
-horizontal distance d move by
-
-.. math::
-
-    \mathrm{d}a = (n \sin a - e \cos a) / d, \qquad
-    \mathrm{d}y = (y\,(e \sin a + n \cos a) - up) / d
-
-The eye moves on the ground, whose slope ties up to e and n, at a height above it. One rendering
-with its depth therefore gives the derivatives with respect to all unknowns. The assumed errors
-start large and shrink as the fit improves: far terrain, which moves least, is fitted first, and
-near terrain follows.
+The derivatives are those of `skyline.match.curves`. The assumed errors start large and shrink as
+the fit improves: far terrain, which moves least, is fitted first, and near terrain follows.
 """
 
 from collections.abc import Sequence
@@ -19,8 +9,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skyline.arrays import Complex128Array, Float64Array, IntArray, Rows
+from skyline.arrays import Float64Array, IntArray, Rows
 from skyline.camera.warps import MOST_DISTORTION
+from skyline.match.curves import EYE_HEIGHT, MOVE, Curves, Linearization
 from skyline.match.eye_prior import EyeHeightPrior
 from skyline.match.likelihood import (
     HeightErrors,
@@ -32,13 +23,8 @@ from skyline.match.likelihood import (
 from skyline.match.position_prior import PositionPrior
 from skyline.match.rays import Rays, thinned
 from skyline.pose.pose import Poses
-from skyline.pose.pose_errors import ASSUMED, EAST, HEADING, LOG_SCALE, NORTH, PITCH, ROLL, UP, WARP
+from skyline.pose.pose_errors import ASSUMED, EAST, HEADING, LOG_SCALE, NORTH, PITCH, ROLL, WARP
 from skyline.terrain.data_edge import DataEdge
-
-EYE_HEIGHT = UP
-"""Column of a state with the eye's height above the ground, metres. The other columns of a state
-are the unknowns of a pose: `EAST` and `NORTH` are the eye's displacement, and from `WARP` on there
-is a column for each warp of `Rays.warp_sd`."""
 
 ANGLES_DEG = np.array([0.03, 0.05, 0.08, 0.12, 0.2, 0.3, 0.5, 0.8])
 """Standard deviations of the photo's error from which the likeliest is chosen."""
@@ -52,11 +38,6 @@ _WIDEST_ANGLE = len(ANGLES_DEG) - 1
 _WIDEST_HEIGHT = len(HEIGHT_SHARES) - 1
 _NEIGHBOURS = ((-1, 0), (0, -1), (1, 0), (0, 1))
 """Steps of the indices into `ANGLES_DEG` and `HEIGHT_SHARES` that are tried."""
-_MOVE = slice(EAST, HEADING)
-"""The columns of a state that move the eye."""
-_TANGENT, _SLOPE, _BY_MOVE, _DISTANCE, _RISE = 0, 1, slice(2, 5), 5, 6
-"""Channels of curves: the elevation tangent, its slope by azimuth, its derivatives by a metre east,
-north and up, the distance, and how far things may rise above the tangent."""
 _AGREEMENT_RAD = np.radians(np.arange(-4.0, 4.01, 0.25))
 """Shifts of the whole curve that are tried."""
 _AGREEMENT_SD_RAD = np.radians(0.3)
@@ -133,62 +114,6 @@ their statistical meaning."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Curves(Rows):
-    """The skylines of M eyes, with derivatives by the eyes' moves."""
-
-    channels: Float64Array
-    """(M, B, 6 or 7) float64. The channels `_TANGENT` to `_RISE`, without the last if there is no
-    surface model, at azimuth 360 b / B degrees. NaN where unknown."""
-    place_m: Complex128Array
-    """(M,) complex128. Eastings of the eyes, and northings as the imaginary part."""
-    ground_m: Float64Array
-    """(M,) float64. Elevation of the ground there."""
-    eye_height_m: Float64Array
-    """(M,) float64. Height of the eyes above the ground."""
-
-    @classmethod
-    def of(
-        cls,
-        y: Float64Array,
-        distance_m: Float64Array,
-        place_m: Complex128Array,
-        ground_m: Float64Array,
-        ground_slope: Float64Array,
-        eye_height_m: Float64Array,
-        surface_y: Float64Array | None = None,
-    ) -> "Curves":
-        """Return the curves of skylines all the way round.
-
-        The skylines are as `joined_views` returns them. ``ground_slope`` (M, 2) is the rise of the
-        ground per metre to the east and to the north, ``surface_y`` (M, B) the elevation tangents
-        of the surface model, seen by the same eyes.
-        """
-        step = 2.0 * np.pi / y.shape[1]
-        slope = (np.roll(y, -1, axis=1) - np.roll(y, 1, axis=1)) / (2.0 * step)
-        sine, cosine = np.sin(step * np.arange(y.shape[1])), np.cos(step * np.arange(y.shape[1]))
-        east = (y * sine + slope * cosine - ground_slope[:, :1]) / distance_m
-        north = (y * cosine - slope * sine - ground_slope[:, 1:]) / distance_m
-        channels = [y, slope, east, north, -1.0 / distance_m, distance_m]
-        if surface_y is not None:
-            channels.append(np.maximum(surface_y - y, 0.0))
-        return cls(np.stack(channels, axis=-1), place_m, ground_m, eye_height_m)
-
-    def at(self, azimuth_rad: Float64Array) -> Float64Array:
-        """Return the channels (M, R, 6 or 7) at azimuths (M, R).
-
-        They are linear between bins.
-        """
-        count, bins, channels = self.channels.shape
-        position = azimuth_rad * (bins / (2.0 * np.pi))
-        left = np.floor(position).astype(np.intp)
-        share = (position - left)[..., np.newaxis]
-        flat = self.channels.reshape(-1, channels)
-        row = np.arange(count)[:, np.newaxis] * bins
-        before, after = flat[row + left % bins], flat[row + (left + 1) % bins]
-        return np.asarray(before + (after - before) * share)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Fit(Rows):
     """M states of the camera, and how well they fit a photo."""
 
@@ -203,29 +128,6 @@ class Fit(Rows):
     infinite for a state that does not fit."""
     terrain_probability: Float64Array
     """(M, R) float64. Probability that a ray shows terrain."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Linearization:
-    """Residuals of M states and their derivatives."""
-
-    residual_rad: Float64Array
-    """(M, R) float64. Photo minus terrain; NaN where the terrain is unknown."""
-    jacobian: Float64Array
-    """(M, P, R) float64. 0 where the terrain is unknown."""
-    azimuth_rad: Float64Array
-    """(M, R) float64. Azimuth of the terrain's skyline in each column."""
-    distance_m: Float64Array
-    """(M, R) float64. Distance of the terrain's skyline in each column."""
-    rise_rad: Float64Array | None
-    """(M, R) float64. How far things may rise above the terrain's skyline; None without a surface
-    model."""
-    place_m: Complex128Array
-    """(M,) complex128. Places of the states' eyes; see `Curves`."""
-    eye_m: Float64Array
-    """(M,) float64. Elevations of the states' eyes over level ground around the curve's eye."""
-    elevation_tan: Float64Array
-    """(M, R) float64. Elevation tangent of the terrain's skyline; NaN where unknown."""
 
 
 class Solver:
@@ -255,8 +157,8 @@ class Solver:
         self.size = WARP + len(rays.warp_sd)
         """Unknowns P of a state."""
         self._low, self._high = self._bounds()
-        self._prior = self._prior_precision()
-        self._information = self._prior + self._widest_sd() ** -2.0
+        self._precision = self._prior_precision()
+        self._information = self._precision + self._widest_sd() ** -2.0
         off = np.log(HEIGHT_SHARES) / _PRIORS.log_height_sd
         self._height_cost = _PRIORS.terrain_weight * 0.5 * off**2
 
@@ -286,7 +188,7 @@ class Solver:
         return precision
 
     def _widest_sd(self) -> Float64Array:
-        """Return how far unknowns (P,) deviate if the skyline tells nothing of them."""
+        """Return deviations (P,) of unknowns of which the skyline tells nothing."""
         sd = np.full(self.size, np.inf)
         sd[[EAST, NORTH]] = _PRIORS.position_sd_m
         sd[EYE_HEIGHT] = max(self._eye.scale_m, _LEAST_SD_M)
@@ -352,7 +254,7 @@ class Solver:
         """
         errors = None
         for step in range(self.mode.steps + 1):
-            linear = self.linearize(curves, fit.state)
+            linear = curves.linearized(self.rays, fit.state)
             # The errors at the first state serve all steps.
             errors = self._errors(linear, curves) if errors is None else errors
             neighbours = _NEIGHBOURS if step < self.mode.choices else ()
@@ -375,7 +277,7 @@ class Solver:
 
     def _agreed(self, curves: Curves, fit: Fit) -> Fit:
         """Return the fit with the pitch on which most columns agree."""
-        linear = self.linearize(curves, fit.state)
+        linear = curves.linearized(self.rays, fit.state)
         off = linear.residual_rad[..., np.newaxis] - _AGREEMENT_RAD
         density = np.exp(-0.5 * (off / _AGREEMENT_SD_RAD) ** 2) / _AGREEMENT_SD_RAD
         log_density = np.log(density + density_without_terrain(off))
@@ -393,7 +295,7 @@ class Solver:
 
     def evaluate(self, curves: Curves, fit: Fit) -> tuple[Linearization, Likelihood]:
         """Return the residuals and their likelihood at a fit."""
-        linear = self.linearize(curves, fit.state)
+        linear = curves.linearized(self.rays, fit.state)
         errors = self._errors(linear, curves)
         return linear, self._likelihood(fit, linear, errors)
 
@@ -413,41 +315,6 @@ class Solver:
     def _lens_precision(self, state: Float64Array) -> Float64Array:
         """Return the precision (M,) with which the lens's prior pulls states."""
         return _PRIORS.lens_weight * self.rays.lens.precision(state[:, LOG_SCALE])
-
-    def linearize(self, curves: Curves, state: Float64Array) -> Linearization:
-        """Return residuals and their derivatives at states (M, P)."""
-        pitch, roll, log_scale = state[:, PITCH:WARP].T
-        turned, ray_y, turned_change, ray_change = self.rays.levelled_with_changes(
-            pitch, roll, log_scale, state[:, WARP:]
-        )
-        azimuth = turned + state[:, HEADING, np.newaxis]
-        skyline = curves.at(azimuth)
-        by_move = skyline[..., _BY_MOVE]
-        move = state[:, _MOVE].copy()
-        move[:, EYE_HEIGHT] -= curves.eye_height_m
-        y = skyline[..., _TANGENT] + (by_move @ move[..., np.newaxis])[..., 0]
-        # Differences of tangents become angles; the derivative of this factor is left out.
-        to_angle = 1.0 / (1.0 + ray_y**2)
-        by_heading = -skyline[..., _SLOPE, np.newaxis]
-        by_attitude = ray_change + by_heading * turned_change
-        change = np.concatenate([-by_move, by_heading, by_attitude], axis=-1)
-        # The photo's columns come last, since products sum over them.
-        jacobian = np.ascontiguousarray(change.swapaxes(1, 2))
-        jacobian *= to_angle[:, np.newaxis]
-        residual = (ray_y - y) * to_angle
-        # Next to an unknown column the curve may be known but not its slope.
-        known = np.isfinite(residual) & np.isfinite(jacobian).all(axis=1)
-        has_surface = skyline.shape[-1] > _RISE
-        return Linearization(
-            residual_rad=np.where(known, residual, np.nan),
-            jacobian=np.where(known[:, np.newaxis], jacobian, 0.0),
-            azimuth_rad=azimuth,
-            distance_m=skyline[..., _DISTANCE],
-            rise_rad=skyline[..., _RISE] * to_angle if has_surface else None,
-            place_m=curves.place_m + state[:, EAST] + 1j * state[:, NORTH],
-            eye_m=curves.ground_m + state[:, EYE_HEIGHT],
-            elevation_tan=y,
-        )
 
     def _beyond_rad(self, linear: Linearization) -> Float64Array:
         """Return how far terrain past the data's edge may rise.
@@ -492,19 +359,28 @@ class Solver:
         attitude = slice(HEADING, None)
         change = linear.jacobian[:, attitude]
         normal = found.product(change, change)
-        known = self._information_at(fit.state)[:, attitude, attitude]
-        _, log_det = np.linalg.slogdet(normal + known)
-        prior = 0.5 * fit.state**2 @ self._prior
-        prior += _PRIORS.lens_weight * self.rays.lens.cost(fit.state[:, LOG_SCALE])
-        prior += _PRIORS.terrain_weight * self._eye.cost(fit.state[:, EYE_HEIGHT])
+        information = self._information_at(fit.state)[:, attitude, attitude]
+        _, log_det = np.linalg.slogdet(normal + information)
         may_rise = found.may_rise & np.isfinite(linear.residual_rad)
-        prior += cost_of_share(may_rise @ self.rays.weight, TEMPERATURE)
-        if self._noted is not None:
-            prior += TEMPERATURE * self._noted.cost(
-                linear.place_m, linear.eye_m, fit.state[:, HEADING]
-            )
-        cost = found.cost + 0.5 * log_det + prior + self._height_cost[fit.height_index]
+        prior_cost = self._prior_cost(fit.state, linear, may_rise @ self.rays.weight)
+        cost = found.cost + 0.5 * log_det + prior_cost + self._height_cost[fit.height_index]
         return replace(found, cost=cost)
+
+    def _prior_cost(
+        self, state: Float64Array, linear: Linearization, open_columns: Float64Array
+    ) -> Float64Array:
+        """Return what the priors add to the cost (M,) of states.
+
+        The priors of the height errors are not among them. For ``open_columns`` (M,) see
+        `cost_of_share`.
+        """
+        cost = 0.5 * state**2 @ self._precision
+        cost += _PRIORS.lens_weight * self.rays.lens.cost(state[:, LOG_SCALE])
+        cost += _PRIORS.terrain_weight * self._eye.cost(state[:, EYE_HEIGHT])
+        cost += cost_of_share(open_columns, TEMPERATURE)
+        if self._noted is not None:
+            cost += TEMPERATURE * self._noted.cost(linear.place_m, linear.eye_m, state[:, HEADING])
+        return np.asarray(cost)
 
     def _with_deviations(
         self,
@@ -556,23 +432,24 @@ class Solver:
         found: Likelihood,
         step_m: Float64Array,
     ) -> tuple[Float64Array, Float64Array]:
-        """Return the matrices (M, P, P) and gradients (M, P) of damped steps."""
+        """Return matrices (M, P, P) and gradients (M, P) of damped steps."""
         miss = np.nan_to_num(linear.residual_rad)[:, np.newaxis]
         # The prior pulls the eye to the curve's eye, and the other unknowns to usual values.
         step_m = np.maximum(step_m, _LEAST_SD_M)
-        prior = np.tile(self._prior, (len(step_m), 1))
-        prior[:, LOG_SCALE] = self._lens_precision(state)
-        prior[:, [EAST, NORTH]] = step_m[:, np.newaxis] ** -2
-        prior[:, EYE_HEIGHT] = _PRIORS.terrain_weight * self._eye.precision(state[:, EYE_HEIGHT])
+        precision = np.tile(self._precision, (len(step_m), 1))
+        precision[:, LOG_SCALE] = self._lens_precision(state)
+        precision[:, [EAST, NORTH]] = step_m[:, np.newaxis] ** -2
+        eye_precision = self._eye.precision(state[:, EYE_HEIGHT])
+        precision[:, EYE_HEIGHT] = _PRIORS.terrain_weight * eye_precision
         off = state.copy()
         off[:, EYE_HEIGHT] -= self._eye.usual_m
         # Damping shortens a step, whichever way it leads.
-        damping = np.zeros_like(prior)
+        damping = np.zeros_like(precision)
         damping[:, EYE_HEIGHT] = (_PRIORS.upward_share * step_m) ** -2
         damping[:, HEADING:] = _PRIORS.damping_rad**-2
         normal = found.product(linear.jacobian, linear.jacobian)
-        normal += (prior + damping)[:, np.newaxis] * np.eye(self.size)
-        gradient = found.product(linear.jacobian, miss)[..., 0] + prior * off
+        normal += (precision + damping)[:, np.newaxis] * np.eye(self.size)
+        gradient = found.product(linear.jacobian, miss)[..., 0] + precision * off
         gradient[:, LOG_SCALE] -= found.log_scale_pull(miss[:, 0])
         self._pull_to_noted(linear, normal, gradient)
         return normal, gradient
@@ -585,7 +462,7 @@ class Solver:
             return
         precision, offset_m = self._noted.pull(linear.place_m, linear.eye_m)
         precision *= TEMPERATURE
-        gradient[:, _MOVE] += precision * offset_m
+        gradient[:, MOVE] += precision * offset_m
         for axis in (EAST, NORTH, EYE_HEIGHT):
             normal[:, axis, axis] += precision[:, axis]
 

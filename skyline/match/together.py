@@ -6,9 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from skyline.arrays import BoolArray, Complex128Array, Float64Array
+from skyline.match.curves import EYE_HEIGHT
 from skyline.match.likelihood import GREATEST_LOG_ODDS
 from skyline.match.refine import MOVES, Particles, Refinement, best_and_rivals, spread_m2
-from skyline.match.solver import EYE_HEIGHT, TEMPERATURE
+from skyline.match.solver import TEMPERATURE
 from skyline.pose.pose import RIGHT_WITHIN_M, Poses
 
 _EYE = slice(EYE_HEIGHT + 1)

@@ -8,10 +8,10 @@ from ray_scenes import photographed_from, poses, rays_of
 from scenes import field_of, fractal
 
 from skyline.camera.warps import distorted
+from skyline.match.curves import Curves
 from skyline.match.narrowing import Narrowing
 from skyline.match.prior import Prior
 from skyline.match.refine import WHOLE, Refinement
-from skyline.match.solver import Curves
 from skyline.match.together import JointRefinement
 from skyline.pose.pose import Poses
 from skyline.render.horizon import HorizonRenderer, RenderConfig

@@ -9,11 +9,12 @@ from ray_scenes import hills, panorama_of, poses, rays_of, seen
 from scenes import FRAME
 from scipy.integrate import quad
 
+from skyline.match.curves import Curves
 from skyline.match.eye_prior import EyeHeightPrior, KnownGround, Standing
 from skyline.match.narrowing import Narrowing
 from skyline.match.position_prior import PositionPrior
 from skyline.match.prior import Prior
-from skyline.match.solver import FINE, Curves, Solver
+from skyline.match.solver import FINE, Solver
 from skyline.photo.noted_place import NotedPlace
 
 NOTED = PositionPrior(1000.0, 2000.0, 25.0)

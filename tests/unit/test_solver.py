@@ -9,10 +9,11 @@ from ray_scenes import hills, panorama_of, poses, rays_of, seen, swept
 from skyline.camera.projection import Projection
 from skyline.camera.warps import distorted, wander_ways
 from skyline.geodesy.earth import Curvature
+from skyline.match.curves import Curves
 from skyline.match.eye_prior import EyeHeightPrior
 from skyline.match.lens_prior import LensPrior
 from skyline.match.rays import Rays
-from skyline.match.solver import FINE, Curves, Solver, SolverMode
+from skyline.match.solver import FINE, Solver, SolverMode
 from skyline.pose.pose_errors import HEADING, PITCH
 from skyline.terrain.data_edge import DataEdge
 
@@ -62,10 +63,11 @@ def test_derivatives_agree_with_differences(rays):
     state = state[:, : solver.size]
     steps = np.diag([1.0, 1.0, 1.0, 2e-3, 1e-4, 1e-4, 1e-4, *np.full(4, 1e-3)])
     steps = steps[: solver.size, : solver.size]
-    there = solver.linearize(curves, state)
+    there = curves.linearized(solver.rays, state)
     for k, move in enumerate(steps):
         after, before = (
-            solver.linearize(curves, state + sign * move).residual_rad[0] for sign in (1.0, -1.0)
+            curves.linearized(solver.rays, state + sign * move).residual_rad[0]
+            for sign in (1.0, -1.0)
         )
         expected = (after - before) / (2.0 * move[k])
         # Curves are linear between bins, so slopes agree on average, not at every point; and
