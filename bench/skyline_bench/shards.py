@@ -26,6 +26,7 @@ from skyline.arrays import IntArray, UInt8Array
 from skyline.cli.terminal import Terminal
 from skyline.geodesy.map_frame import Frame
 from skyline.match.distant_shards import OpenAreas, Part, distant_shards
+from skyline.match.joined_shards import JoinedShards
 from skyline.match.prior import NOTHING_KNOWN
 from skyline.match.rays import Rays
 from skyline.match.retrieval import Retriever
@@ -155,17 +156,18 @@ class _Search:
         frames = frames if areas > 1 else []
         places = _Again(self._places, copies)
         shard = LocalShard(places, ground_of(self._terrain))
-        here = Retriever([[shard]] * areas, frames)
+        here = JoinedShards([[shard]] * areas, frames)
         opening: Opening[OpenAreas] = Opening(
             (self._path, copies), partial(_SameArea, self._path, self._files, copies)
         )
         far = distant_shards(self._runner, opening, [len(places)] * areas)
-        there = Retriever(far, frames, at_once=2 * self._runner.workers)
-        for warming in (Retriever([[shard]]), Retriever(far[:1], at_once=2 * self._runner.workers)):
-            self._found(warming)  # Each process opens the store and the DEM.
+        at_once = 2 * self._runner.workers
+        there = Retriever(JoinedShards(far, frames, at_once))
+        for warming in (JoinedShards([[shard]]), JoinedShards(far[:1], at_once=at_once)):
+            self._found(Retriever(warming))  # Each process opens the store and the DEM.
         km2 = areas * copies * self._km2
         about = {"km2": km2, "areas": areas, "places": len(here), "bytes": len(here) * self._row}
-        one, alone = self._measured(here)
+        one, alone = self._measured(Retriever(here))
         whole = about | {"process": "one", **alone[0], "seconds": one.seconds}
         spread, by_process = self._measured(there)
         busiest = max(figures["cpu_seconds"] for figures in by_process[1:])

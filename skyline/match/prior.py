@@ -103,8 +103,21 @@ class Prior:
             inside &= in_rectangle(self.rectangle_m, easting_m, northing_m)
         return inside
 
-    def allows(self, poses: Poses) -> BoolArray:
-        """Return which poses (M,) the narrowing allows, their headings included."""
+    def allows(self, poses: Poses, frames: Sequence[Frame] = ()) -> BoolArray:
+        """Return which poses (M,) the narrowing allows, their headings included.
+
+        Poses with `Poses.in_areas` need the ``frames`` of the areas.
+        """
+        if poses.in_areas is None:
+            return self._allows_in_frame(poses)
+        allowed = np.zeros(len(poses), dtype=bool)
+        for area, its_prior in enumerate(self.in_frames(frames)):
+            mine = np.flatnonzero(poses.in_areas.area == area)
+            allowed[mine] = its_prior._allows_in_frame(poses[mine])
+        return allowed
+
+    def _allows_in_frame(self, poses: Poses) -> BoolArray:
+        """Return which poses (M,), in the prior's own frame, are allowed."""
         allowed = self.contains(poses)
         if self.narrowing.heading_deg is not None and self.frame is not None:
             heading, slack = self.narrowing.heading_deg

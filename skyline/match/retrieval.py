@@ -10,29 +10,25 @@ photos. The last short list is made from all places that are worth a fit.
 """
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import pairwise
-from typing import Any, TypeVar
 
 import numpy as np
 
-from skyline.arrays import BoolArray, Float32Array, Float64Array, IntArray
+from skyline.arrays import Float64Array, IntArray
 from skyline.errors import InputError
-from skyline.geodesy.map_frame import Frame
-from skyline.match.fit import GOOD_FIT, ROUGH_FIT, FitEffort
+from skyline.match.fit import GOOD_FIT, ROUGH_FIT
+from skyline.match.joined_shards import JoinedShards
 from skyline.match.posterior import AlikePlaces
 from skyline.match.prior import NOTHING_KNOWN, Prior
 from skyline.match.rays import REFERENCE_FOV_DEG, Rays
-from skyline.match.screen import Alike, Screen, Turns
-from skyline.match.shard import Neighbours, Shard, Starts
+from skyline.match.screen import Alike, Screen
+from skyline.match.shard import Starts
 from skyline.pose.pose import Poses
 from skyline.progress import StepProgress, silent
 from skyline.store.places import Places
-
-T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,97 +86,31 @@ class RetrievalEffort:
     heading_step_deg: float = 3.0
     """Step of the headings from which poses are fitted at a known place."""
 
+    def last_places(self, places: int) -> int:
+        """Return the number of places of the last short list, of all places."""
+        share = math.ceil(self.last_share * places)
+        return min(max(share, self.last_least), self.last_most)
 
-_EFFORT = RetrievalEffort()
+    def good_fits(self, rough: int) -> int:
+        """Return how many poses are fitted well after so many rough fits."""
+        share = math.ceil(self.good_share * rough)
+        return min(max(share, self.good_least), self.good_most)
+
+
+class NoPlaceError(InputError):
+    """A search that is narrowed to no place."""
 
 
 class Retriever:
-    """Finds short lists of poses among the places of shards.
+    """Finds short lists of poses among the places of a search."""
 
-    Places are ranked together, whatever their shards. Rows are counted through all shards, one
-    after another.
-
-    Parameters
-    ----------
-    areas : sequence of sequence of Shard
-        The shards of each elevation model, which share its frame.
-    frames : sequence of Frame
-        The frames, by area. One area alone needs none.
-    at_once : int
-        Shards that are asked at a time; shards of this process take all of its cores.
-    """
-
-    def __init__(
-        self, areas: Sequence[Sequence[Shard]], frames: Sequence[Frame] = (), at_once: int = 1
-    ) -> None:
-        self._at_once = at_once
-        self._shards = [shard for shards in areas for shard in shards]
-        self._area_of_shard = np.repeat(np.arange(len(areas)), [len(shards) for shards in areas])
-        self._frames = frames
-        self._first_row = np.cumsum([0, *map(len, self._shards)])
-        share = math.ceil(_EFFORT.last_share * len(self))
-        self._last_places = min(max(share, _EFFORT.last_least), _EFFORT.last_most)
-
-    def __len__(self) -> int:
-        return int(self._first_row[-1])
-
-    def sample(self, count: int) -> Places:
-        """Return about ``count`` places, the same ones in every process."""
-        step = max(1, len(self) // count)
-        rows = np.arange(0, len(self), step, dtype=np.intp)
-        return self._of_each(rows, lambda shard, _, own: shard.take(own), Places.concatenate)
+    def __init__(self, places: JoinedShards, effort: RetrievalEffort | None = None) -> None:
+        self._places = places
+        self._effort = effort or RetrievalEffort()
 
     @cached_property
     def _sample(self) -> Places:
-        return self.sample(_EFFORT.sample)
-
-    def allowed(self, prior: Prior, poses: Poses) -> BoolArray:
-        """Return which poses (M,) a narrowing allows."""
-        if poses.in_areas is None:
-            return prior.allows(poses)
-        allowed = np.zeros(len(poses), dtype=bool)
-        for area, its_prior in enumerate(prior.in_frames(self._frames)):
-            mine = np.flatnonzero(poses.in_areas.area == area)
-            allowed[mine] = its_prior.allows(poses[mine])
-        return allowed
-
-    def _shard_of(self, rows: IntArray) -> IntArray:
-        """Return the numbers (M,) of the shards that hold places."""
-        return np.searchsorted(self._first_row, rows, side="right") - 1
-
-    def _asked(self, asks: Iterable[Callable[[], T]]) -> Iterator[T]:
-        """Yield shards' answers, in order."""
-        if self._at_once == 1:
-            yield from (ask() for ask in asks)
-            return
-        with ThreadPoolExecutor(self._at_once) as pool:
-            yield from pool.map(lambda ask: ask(), asks)
-
-    def _of_each(
-        self,
-        rows: IntArray,
-        ask: Callable[[Shard, IntArray, IntArray], T],
-        concatenate: Callable[[list[T]], T],
-    ) -> T:
-        """Return shards' answers about places (M,), in the places' order.
-
-        ``ask`` takes a shard, the indices of its places in ``rows``, and their rows in the shard.
-        """
-        number = self._shard_of(rows)
-        # About no places the first shard is asked: its answer is empty, and of the right kind.
-        asked = np.unique(number).tolist() if len(rows) else [0]
-        at = [np.flatnonzero(number == one) for one in asked]
-        asks = (
-            partial(ask, self._shards[one], mine, rows[mine] - self._first_row[one])
-            for one, mine in zip(asked, at, strict=True)
-        )
-        parts = list(self._asked(asks))
-        if len(parts) == 1:
-            return parts[0]
-        back: Any = np.argsort(np.concatenate(at), kind="stable")
-        together: Any = concatenate(parts)
-        answer: T = together[back]
-        return answer
+        return self._places.sample(self._effort.sample)
 
     def shortlist(
         self,
@@ -204,11 +134,11 @@ class Retriever:
 
         A list has up to ``count`` poses, best first, which may lie between the places. The poses of
         earlier lists compete again for a place in later ones. A list is empty where no fitted pose
-        lies within the narrowing. Raises `InputError` where the search is narrowed to no place.
+        lies within the narrowing. Raises `NoPlaceError` where the search is narrowed to no place.
         """
         starts: list[Starts] = []
         fitted: list[Poses] = []
-        counts = (_EFFORT.first_places, self._last_places)
+        counts = self._effort.first_places, self._effort.last_places(len(self._places))
         for alike in self._screened([self._screens(rays, prior)], [prior], counts, report):
             its_starts, its_poses = self._fitted_at(rays, prior, alike, report)
             starts.append(its_starts)
@@ -216,18 +146,21 @@ class Retriever:
             poses = Poses.concatenate(fitted)
             if len(fitted) > 1:
                 beside = self._beside(rays, Starts.concatenate(starts), poses)
-                climbed = self._fits(rays, beside, GOOD_FIT, report)
-                poses = Poses.concatenate([poses, climbed[self.allowed(prior, climbed)]])
-            yield poses[_distinct(poses, count)]
+                climbed = self._places.fitted(rays, beside, GOOD_FIT, report)
+                climbed = climbed[prior.allows(climbed, self._places.frames)]
+                poses = Poses.concatenate([poses, climbed])
+            yield poses[self._distinct(poses, count)]
 
     def _fitted_at(
         self, rays: Rays, prior: Prior, alike: Alike, report: StepProgress
     ) -> tuple[Starts, Poses]:
         """Return the allowed poses fitted well at places, with their starts."""
-        starts = self._starts(rays, prior, alike, math.ceil(_EFFORT.starts * len(alike)))
-        (starts,) = self._promising([rays], [starts], _good_count(len(starts)), report)
-        poses = self._fits(rays, starts, GOOD_FIT, report)
-        is_allowed = self.allowed(prior, poses)
+        effort = self._effort
+        count = math.ceil(effort.starts * len(alike))
+        starts = self._starts(rays, prior, alike, count, effort.turns)
+        (starts,) = self._promising([rays], [starts], effort.good_fits(len(starts)), report)
+        poses = self._places.fitted(rays, starts, GOOD_FIT, report)
+        is_allowed = prior.allows(poses, self._places.frames)
         return starts[is_allowed], poses[is_allowed]
 
     def _screened(
@@ -241,56 +174,23 @@ class Retriever:
 
         ``screens`` holds the coarse and the fine screen of each photo, whose scores are added.
         ``counts`` has the number of places of each list, with the places of earlier lists; a list
-        has fewer if fewer lie within the narrowings. Raises `InputError` where none does.
+        has fewer if fewer lie within the narrowings. Raises `NoPlaceError` where none does.
         """
         coarse, fine = zip(*screens, strict=True)
-        ranked = self._ranked(coarse, priors, _EFFORT.screened_again * counts[-1], report)
+        times = self._effort.screened_again
+        ranked = self._places.screened(coarse, priors, times * counts[-1], report)
         if not len(ranked):
             raise self._no_place_error(priors)
         waiting = ranked[:0]
         for before, count in pairwise((0, *counts)):
-            more = ranked[_EFFORT.screened_again * before : _EFFORT.screened_again * count]
+            more = ranked[times * before : times * count]
             # Places that did not get into the list before this one compete again.
-            again = Alike(more.row, self._rescored(fine, more.row))
+            again = Alike(more.row, self._places.rescored(fine, more.row))
             waiting = Alike.joined([waiting, again]).best()
             part = waiting[: count - before]
             waiting = waiting[count - before :]
             if len(part):
                 yield part
-
-    def _ranked(
-        self,
-        screens: Sequence[Screen],
-        priors: Sequence[Prior],
-        count: int,
-        report: StepProgress,
-    ) -> Alike:
-        """Return the best ``count`` places of all shards, best first."""
-        by_area = [prior.in_frames(self._frames) for prior in priors]
-        kept = Alike.joined([])
-        least = -math.inf
-
-        def screened(number: int) -> Alike:
-            shard = self._shards[number]
-            there = [its_priors[self._area_of_shard[number]] for its_priors in by_area]
-            first = self._first_row[number]
-            told = partial(_report_part, report, first / len(self), len(shard) / len(self))
-            alike = shard.screened(screens, there, count, least, told)
-            return replace(alike, row=first + alike.row)
-
-        for alike in self._asked(partial(screened, number) for number in range(len(self._shards))):
-            kept = Alike.joined([kept, alike])
-            if len(kept) > count:
-                # Shards that are asked later need not answer with places that are worse.
-                kept = kept.best(count)
-                least = float(kept.score[-1])
-        return kept.best()
-
-    def _rescored(self, screens: Sequence[Screen], rows: IntArray) -> Float32Array:
-        """Return the sums of photos' scores at places (M,)."""
-        return self._of_each(
-            rows, lambda shard, _, own: shard.rescored(screens, own), np.concatenate
-        )
 
     def alike_places(
         self, photos: Sequence[tuple[Rays, Prior]], report: StepProgress = silent
@@ -298,13 +198,12 @@ class Retriever:
         """Return all places within the narrowings of photos, with scores.
 
         The photos are of one eye, and the places of one area. The coarse screen gives the scores,
-        which are summed over the photos. Raises `InputError` where the search is narrowed to no
+        which are summed over the photos. Raises `NoPlaceError` where the search is narrowed to no
         place.
         """
         priors = [prior for _, prior in photos]
         coarse = [self._screens(rays, prior)[0] for rays, prior in photos]
-        asks = (partial(shard.alike_places, coarse, priors, report) for shard in self._shards)
-        alike = AlikePlaces.concatenate(list(self._asked(asks)))
+        alike = self._places.alike_places(coarse, priors, report)
         if not len(alike):
             raise self._no_place_error(priors)
         return alike
@@ -315,9 +214,9 @@ class Retriever:
         They start from headings all the way round. No place is screened out, so there must be few.
         """
         row, grid_heading_rad, log_scale = np.meshgrid(
-            np.arange(len(self)),
-            np.radians(np.arange(0.0, 360.0, _EFFORT.heading_step_deg)),
-            _even_log_scales(rays, *rays.log_scale_bounds, _EFFORT.start_step),
+            np.arange(len(self._places)),
+            np.radians(np.arange(0.0, 360.0, self._effort.heading_step_deg)),
+            _even_log_scales(rays, *rays.log_scale_bounds, self._effort.start_step),
             indexing="ij",
         )
         starts = Starts(
@@ -326,7 +225,7 @@ class Retriever:
             grid_heading_rad=grid_heading_rad.ravel(),
             log_scale=log_scale.ravel(),
         )
-        return self._fitted([rays], [starts], _EFFORT.good_most, silent)[0]
+        return self._fitted([rays], [starts], self._effort.good_most, silent)[0]
 
     def shortlist_together(
         self,
@@ -340,36 +239,37 @@ class Retriever:
         the same order. A place lies within the narrowings of all photos, and its score is the sum
         of the photos' scores. A photo that fits a place worse than its median place counts there
         with the median, so a photo of another place cannot exclude the right one. Raises
-        `InputError` where the search is narrowed to no place.
+        `NoPlaceError` where the search is narrowed to no place.
         """
         priors = [prior for _, prior in photos]
         screens = [self._screens(rays, prior) for rays, prior in photos]
-        alike = next(self._screened(screens, priors, [self._last_places], report))
+        last = self._effort.last_places(len(self._places))
+        alike = next(self._screened(screens, priors, [last], report))
         starts = []
         for (rays, prior), (_, fine) in zip(photos, screens, strict=True):
-            own = replace(alike, score=self._rescored([fine], alike.row))
+            own = replace(alike, score=self._places.rescored([fine], alike.row))
             starts.append(self._starts(rays, prior, own, len(own), turns=1))
         every = [rays for rays, _ in photos]
-        found = self._fitted(every, starts, _good_count(len(alike)), report)
+        found = self._fitted(every, starts, self._effort.good_fits(len(alike)), report)
         shared = {
             "easting_m": np.mean([one.easting_m for one in found], axis=0),
             "northing_m": np.mean([one.northing_m for one in found], axis=0),
             "cost": _joint_cost(found),
         }
         joint = [replace(one, **shared) for one in found]
-        chosen = joint[0].suppress_non_maxima(count, _EFFORT.separation_m)
+        chosen = joint[0].suppress_non_maxima(count, self._effort.separation_m)
         return [one[chosen] for one in joint]
 
-    def _no_place_error(self, priors: Sequence[Prior]) -> InputError:
+    def _no_place_error(self, priors: Sequence[Prior]) -> NoPlaceError:
         hints = (prior.swap_hint(self._sample) for prior in priors)
-        return InputError(
+        return NoPlaceError(
             "no place of the store lies within what the search is narrowed to; widen it, or build "
             "a store of that area" + next(filter(None, hints), "")
         )
 
     def _screens(self, rays: Rays, prior: Prior) -> tuple[Screen, Screen]:
         """Return the coarse and the fine screen of a photo."""
-        log_scales = _likely_log_scales(rays, _EFFORT.screened_step)
+        log_scales = self._likely_log_scales(rays, self._effort.screened_step)
         coarse = self._screen(rays, prior, log_scales, coarse=True)
         return coarse, self._screen(rays, prior, log_scales)
 
@@ -377,24 +277,18 @@ class Retriever:
         self, rays: Rays, prior: Prior, log_scales: Float64Array, *, coarse: bool = False
     ) -> Screen:
         """Return a screen of fields of view that penalizes unlikely ones."""
-        penalty = _EFFORT.unlikely_penalty * rays.lens.cost(log_scales)
+        penalty = self._effort.unlikely_penalty * rays.lens.cost(log_scales)
         fovs_deg = rays.searched_fov_deg(log_scales)
         return Screen(rays, fovs_deg, self._sample, prior.open_turns, penalty, coarse=coarse)
 
-    def _starts(
-        self, rays: Rays, prior: Prior, alike: Alike, count: int, turns: int = _EFFORT.turns
-    ) -> Starts:
+    def _starts(self, rays: Rays, prior: Prior, alike: Alike, count: int, turns: int) -> Starts:
         """Return up to ``count`` starts of fits, the best ones.
 
         Each place offers its best ``turns``.
         """
-        log_scales = _likely_log_scales(rays, _EFFORT.start_step)
+        log_scales = self._likely_log_scales(rays, self._effort.start_step)
         screen = self._screen(rays, prior, log_scales)
-        found = self._of_each(
-            alike.row,
-            lambda shard, _, own: shard.best_turns(screen, own, turns),
-            Turns.concatenate,
-        )
+        found = self._places.best_turns(screen, alike.row, turns)
         score = found.score.ravel()
         best = np.sort(np.argsort(-score, kind="stable")[:count])
         # In a narrow range of headings a place may have fewer turns than are asked for.
@@ -413,9 +307,9 @@ class Retriever:
         ``fitted`` are the poses fitted from ``starts``. The new starts are the poses themselves, at
         the places next to them.
         """
-        best = _distinct(fitted, math.ceil(_EFFORT.climbing_share * len(fitted)))
+        best = self._distinct(fitted, math.ceil(self._effort.climbing_share * len(fitted)))
         poses = fitted[best]
-        near = self._nearest(poses, _EFFORT.beside)
+        near = self._places.nearest(poses, self._effort.beside)
         pose, rank = np.nonzero(np.isfinite(near.distance_m))
         return Starts(
             row=near.row[pose, rank],
@@ -423,28 +317,6 @@ class Retriever:
             grid_heading_rad=np.radians(poses.grid_heading_deg)[pose],
             log_scale=rays.log_scale(poses.fov_deg)[pose],
         )
-
-    def _nearest(self, poses: Poses, count: int) -> Neighbours:
-        """Return the ``count`` places of each pose's area nearest to it."""
-        place_m = np.stack([poses.easting_m, poses.northing_m], axis=1)
-        row = np.zeros((len(poses), count), dtype=np.intp)
-        distance_m = np.full(row.shape, np.inf)
-
-        def nearest(number: int, mine: IntArray) -> Neighbours:
-            found = self._shards[number].nearest(place_m[mine], count)
-            return replace(found, row=found.row + self._first_row[number])
-
-        areas = poses.areas()
-        for area in np.unique(areas):
-            mine = np.flatnonzero(areas == area)
-            shards = np.flatnonzero(self._area_of_shard == area).tolist()
-            parts = list(self._asked(partial(nearest, number, mine) for number in shards))
-            rows = np.concatenate([part.row for part in parts], axis=1)
-            distances_m = np.concatenate([part.distance_m for part in parts], axis=1)
-            order = np.argsort(distances_m, axis=1, kind="stable")[:, :count]
-            row[mine] = np.take_along_axis(rows, order, axis=1)
-            distance_m[mine] = np.take_along_axis(distances_m, order, axis=1)
-        return Neighbours(row=row, distance_m=distance_m)
 
     def _fitted(
         self,
@@ -455,7 +327,7 @@ class Retriever:
     ) -> list[Poses]:
         """Return the photos' poses fitted from the ``count`` most promising starts."""
         return [
-            self._fits(rays, start, GOOD_FIT, report)
+            self._places.fitted(rays, start, GOOD_FIT, report)
             for rays, start in zip(
                 photos, self._promising(photos, starts, count, report), strict=True
             )
@@ -475,41 +347,30 @@ class Retriever:
         if count >= len(starts[0]):
             return starts
         rough = [
-            self._fits(rays, start, ROUGH_FIT, report)
+            self._places.fitted(rays, start, ROUGH_FIT, report)
             for rays, start in zip(photos, starts, strict=True)
         ]
         best = np.sort(np.argsort(_joint_cost(rough), kind="stable")[:count])
         return [start[best] for start in starts]
 
-    def _fits(self, rays: Rays, starts: Starts, effort: FitEffort, report: StepProgress) -> Poses:
-        """Return the poses fitted from starts, in order.
+    def _distinct(self, poses: Poses, count: int) -> IntArray:
+        """Return the indices of up to ``count`` distinct poses, best first."""
+        effort = self._effort
+        return poses.suppress_non_maxima(count, effort.separation_m, effort.same_turn_deg)
 
-        They have `Poses.in_areas` if there are several areas.
+    def _likely_log_scales(self, rays: Rays, step: float) -> Float64Array:
+        """Return `Rays.log_scale` of likely fields of view, a step apart.
+
+        Fields of view of crops lie farther apart, and are left out if a crop is unlikely.
         """
-
-        def fitted(shard: Shard, mine: IntArray, rows: IntArray) -> Poses:
-            return shard.fitted(rays, replace(starts[mine], row=rows), effort, report)
-
-        poses = self._of_each(starts.row, fitted, Poses.concatenate)
-        if len(self._frames) < 2:
-            return poses
-        return poses.found_in(self._area_of_shard[self._shard_of(starts.row)], self._frames)
-
-
-def _report_part(report: StepProgress, done: float, share: float, step: str, part: float) -> None:
-    """Report part of a shard's work as a share of all work."""
-    report(step, done + share * part)
-
-
-def _distinct(poses: Poses, count: int) -> IntArray:
-    """Return the indices of up to ``count`` distinct poses, best first."""
-    return poses.suppress_non_maxima(count, _EFFORT.separation_m, _EFFORT.same_turn_deg)
-
-
-def _good_count(rough: int) -> int:
-    """Return how many poses are fitted well after so many rough fits."""
-    share = math.ceil(_EFFORT.good_share * rough)
-    return min(max(share, _EFFORT.good_least), _EFFORT.good_most)
+        likely = self._effort.likely_sd * rays.lens.sd
+        least, most = rays.log_scale_bounds
+        low, high = (float(one) for one in np.clip((least, most), -likely, likely))
+        core = _even_log_scales(rays, low, high, step)
+        if rays.lens.crop_share < self._effort.least_crop_share:
+            return core
+        crops = _even_log_scales(rays, least, low, self._effort.crop_steps * step)
+        return np.concatenate([crops, core])
 
 
 def _joint_cost(found: Sequence[Poses]) -> Float64Array:
@@ -532,18 +393,3 @@ def _even_log_scales(rays: Rays, low: float, high: float, step: float) -> Float6
         step *= min(1.0, REFERENCE_FOV_DEG / rays.fov_deg)
     parts = max(1, math.ceil((high - low) / step))
     return np.asarray(low + (np.arange(parts) + 0.5) * ((high - low) / parts))
-
-
-def _likely_log_scales(rays: Rays, step: float) -> Float64Array:
-    """Return `Rays.log_scale` of likely fields of view, a step apart.
-
-    Fields of view of crops lie farther apart, and are left out if a crop is unlikely.
-    """
-    likely = _EFFORT.likely_sd * rays.lens.sd
-    least, most = rays.log_scale_bounds
-    low, high = (float(one) for one in np.clip((least, most), -likely, likely))
-    core = _even_log_scales(rays, low, high, step)
-    if rays.lens.crop_share < _EFFORT.least_crop_share:
-        return core
-    crops = _even_log_scales(rays, least, low, _EFFORT.crop_steps * step)
-    return np.concatenate([crops, core])

@@ -14,6 +14,7 @@ from skyline.arrays import BoolArray, Float64Array
 from skyline.errors import InputError
 from skyline.geodesy.map_frame import Frame
 from skyline.match import confidence
+from skyline.match.joined_shards import JoinedShards
 from skyline.match.method import BY_RENDERING, SearchMethod
 from skyline.match.narrowing import Narrowing
 from skyline.match.other_projection import OtherProjection, find_other_projection
@@ -21,7 +22,7 @@ from skyline.match.posterior import AlikePlaces
 from skyline.match.prior import Prior
 from skyline.match.rays import Rays
 from skyline.match.refine import QUICK, WHOLE, Effort, Refinement, best_of_several
-from skyline.match.retrieval import Retriever
+from skyline.match.retrieval import NoPlaceError, Retriever
 from skyline.match.shard import LocalShard, Shard
 from skyline.match.together import JointRefinement
 from skyline.pose.pose import ROUGHLY_WITHIN_M, Pose, Poses
@@ -123,9 +124,10 @@ class FullMatcher(SearchMethod):
     def __init__(self, areas: Sequence[SearchedArea], at_once: int = 1) -> None:
         self._areas = areas
         self._frames = [area.frame for area in areas] if len(areas) > 1 else []
-        self.retriever = Retriever([area.shards for area in areas], self._frames, at_once)
+        self._places = JoinedShards([area.shards for area in areas], self._frames, at_once)
+        self._retriever = Retriever(self._places)
         self.models = confidence.models()
-        share = round(_SHORTLIST_SHARE * len(self.retriever))
+        share = round(_SHORTLIST_SHARE * len(self._places))
         self._shortlist = min(max(share, _SHORTLIST_LEAST), WHOLE.shortlist)
 
     @classmethod
@@ -158,7 +160,7 @@ class FullMatcher(SearchMethod):
 
     def eyes(self) -> Viewpoints:
         """Return the eyes of all places, or a sample of very many."""
-        some = self.retriever.sample(20_000)
+        some = self._places.sample(20_000)
         eyes = (some.easting_m, some.northing_m, some.eye_elevation_m)
         east_m, north_m, eye_m = (column.astype(np.float64) for column in eyes)
         return Viewpoints(easting_m=east_m, northing_m=north_m, eye_elevation_m=eye_m)
@@ -176,7 +178,7 @@ class FullMatcher(SearchMethod):
         if not len(poses):
             return poses
         # A pose that has moved out of the narrowing is no candidate.
-        is_allowed = self.retriever.allowed(prior, poses)
+        is_allowed = prior.allows(poses, self._frames)
         allowed = replace(poses, cost=np.where(is_allowed, poses.cost, np.inf))
         chosen = allowed.suppress_non_maxima(top, _SEPARATION_M)
         if not len(chosen):
@@ -196,7 +198,7 @@ class FullMatcher(SearchMethod):
         Otherwise the last short list is refined with more effort, and in a large area the
         surroundings of the best answers are searched again. Raises as `search`.
         """
-        lists = self.retriever.shortlists(rays, self._shortlist, prior, report)
+        lists = self._retriever.shortlists(rays, self._shortlist, prior, report)
         found = next(lists)
         if self._areas[0].scene is None:
             return next(lists, found), None
@@ -206,7 +208,7 @@ class FullMatcher(SearchMethod):
             return found, poses
         found = next(lists, found)
         poses = self._refined(WHOLE, rays, prior, _with_noted(found, noted), report)
-        if len(self.retriever) > self.large_area:
+        if len(self._places) > self.large_area:
             poses = self._with_surroundings(rays, prior, poses, report)
         return found, poses
 
@@ -268,10 +270,10 @@ class FullMatcher(SearchMethod):
         """Return what is known of all places; see `SearchMethod.likely_places`."""
         if len(photos) == 1:
             ((rays, prior),) = photos
-            fitted = self.retriever.shortlist(rays, self._shortlist, prior, report)
+            fitted = self._retriever.shortlist(rays, self._shortlist, prior, report)
         else:
-            fitted = self.retriever.shortlist_together(photos, self._shortlist, report)[0]
-        return fitted, self.retriever.alike_places(photos, report)
+            fitted = self._retriever.shortlist_together(photos, self._shortlist, report)[0]
+        return fitted, self._retriever.alike_places(photos, report)
 
     @one_blas_thread()
     def other_projection(self, rays: Rays, best: Pose, prior: Prior) -> OtherProjection | None:
@@ -340,7 +342,7 @@ class FullMatcher(SearchMethod):
         refinements = [
             Refinement(rays, scene, WHOLE, prior, report=report) for rays, prior in photos
         ]
-        places = self.retriever.shortlist_together(photos, WHOLE.particles, report)
+        places = self._retriever.shortlist_together(photos, WHOLE.particles, report)
         joint, agreeing = JointRefinement(refinements).run(places, alone)
         cost = joint[0].cost
         for poses, (_, prior), agrees in zip(joint, photos, agreeing, strict=True):
@@ -397,8 +399,8 @@ class FullMatcher(SearchMethod):
         Returns None if no place of the store lies in them.
         """
         try:
-            return self.retriever.shortlist(rays, _NEARBY_SHORTLIST, surroundings, report)
-        except InputError:
+            return self._retriever.shortlist(rays, _NEARBY_SHORTLIST, surroundings, report)
+        except NoPlaceError:
             return None
 
 

@@ -29,6 +29,7 @@ from skyline.arrays import Float64Array, refuse_text
 from skyline.errors import InputError, printable
 from skyline.match import confidence
 from skyline.match.eye_prior import EyeHeightPrior, KnownGround, Standing
+from skyline.match.joined_shards import JoinedShards
 from skyline.match.narrowing import Narrowing
 from skyline.match.noted_errors import noted_position_scale_m
 from skyline.match.other_projection import find_other_projection
@@ -212,7 +213,7 @@ class Orienter(Closeable):
         if elevation_m is not None:
             np.maximum(eyes.eye_elevation_m, elevation_m, out=eyes.eye_elevation_m)
         places = Places.of(self._panoramas.render(eyes), self._position_sd_m / 2.0)
-        return Retriever([[LocalShard(places, self._scene.ground_m)]])
+        return Retriever(JoinedShards([[LocalShard(places, self._scene.ground_m)]]))
 
     def _standings(self, noted: NotedPlace) -> list[Standing]:
         """Return the ways of standing at the known place."""

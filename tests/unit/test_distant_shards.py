@@ -9,6 +9,7 @@ from place_scenes import AZIMUTH_DEG, curve, places_of, rays
 from store_rows import PLACES_HEADER
 
 from skyline.match.distant_shards import distant_shards, opening_of
+from skyline.match.joined_shards import JoinedShards
 from skyline.match.retrieval import Retriever
 from skyline.match.shard import LocalShard
 from skyline.store.layout import columns_of
@@ -44,9 +45,11 @@ def test_workers_find_what_one_process_finds_to_the_bit(store):
     runner = HereRunner(2)
     (shards,) = distant_shards(runner, opening_of([store]), [3000])
     assert [len(shard) for shard in shards] == [1024, 1024, 952]
-    spread = list(Retriever([shards], at_once=3).shortlists(rays(3, 77.0), 20))
+    spread = list(Retriever(JoinedShards([shards], at_once=3)).shortlists(rays(3, 77.0), 20))
     with open_store(store) as file:
-        whole = list(Retriever([[LocalShard(file.places())]]).shortlists(rays(3, 77.0), 20))
+        whole = list(
+            Retriever(JoinedShards([[LocalShard(file.places())]])).shortlists(rays(3, 77.0), 20)
+        )
     assert len(spread) == len(whole) == 2
     for one, other in zip(spread, whole, strict=True):
         for name, column in one.columns().items():

@@ -14,6 +14,7 @@ from scenes import FRAME, candidate_at
 
 from skyline import Frame, InputError, Narrowing
 from skyline.geodesy.cell_grid import CellGrid
+from skyline.match.joined_shards import JoinedShards
 from skyline.match.position_prior import PositionPrior
 from skyline.match.posterior import SHARES, SPREAD, AlikePlaces, Findings, Posterior, posterior_of
 from skyline.match.prior import NOTHING_KNOWN, Prior
@@ -154,7 +155,7 @@ def test_a_share_lies_between_none_and_all(share):
 
 def test_places_alike_are_those_within_the_narrowing():
     places = places_of(np.stack([curve(seed, AZIMUTH_DEG) for seed in range(20)]))
-    retriever = Retriever([[LocalShard(places)]])
+    retriever = Retriever(JoinedShards([[LocalShard(places)]]))
     every = retriever.alike_places([(rays(7, 120.0), NOTHING_KNOWN)])
     assert len(every) == 20
     assert every.easting_m[every.score.argmax()] == 700.0

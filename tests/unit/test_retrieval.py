@@ -12,12 +12,17 @@ from place_scenes import AZIMUTH_DEG, curve, photo, places_of, rays
 from ray_scenes import equally_trusted, swept
 
 from skyline.errors import InputError
-from skyline.match import retrieval
+from skyline.match.joined_shards import JoinedShards
 from skyline.match.lens_prior import LensPrior
 from skyline.match.narrowing import Narrowing
 from skyline.match.prior import NOTHING_KNOWN, Prior
-from skyline.match.retrieval import Retriever
+from skyline.match.retrieval import RetrievalEffort, Retriever
 from skyline.match.shard import LocalShard
+
+TWO_PLACES = RetrievalEffort(
+    first_places=2, last_least=2, last_most=2, good_least=2, screened_again=20
+)
+"""Short lists of two places."""
 
 
 @pytest.fixture(scope="module")
@@ -25,8 +30,8 @@ def places():
     return places_of(np.stack([curve(seed, AZIMUTH_DEG) for seed in range(40)]))
 
 
-def retriever_of(places, ground=None):
-    return Retriever([[LocalShard(places, ground)]])
+def retriever_of(places, ground=None, effort=None):
+    return Retriever(JoinedShards([[LocalShard(places, ground)]]), effort)
 
 
 def turned(heading_deg, other_deg):
@@ -119,16 +124,26 @@ def many(count):
     )
 
 
+def numbers(poses):
+    """Return the numbers of the places that poses are nearest to."""
+    return set(np.rint(poses.easting_m / 100.0))
+
+
 def within_m(radius_m):
     """Return a search that is narrowed to places near the first one."""
     return Prior(circles_m=((0.0, 0.0, radius_m),))
 
 
-def test_later_lists_add_to_the_first_one():
-    """The first list is of 2048 places, the second of all 2300."""
-    first, last = retriever_of(many(2300)).shortlists(rays(3, 77.0), 5)
-    assert last.cost[0] <= first.cost[0]
-    assert len(first) == len(last) == 5
+@pytest.mark.parametrize(("kept", "in_last"), [(100, {3, 43, 83}), (2, {3, 43})])
+def test_the_poses_of_earlier_lists_compete_again_in_later_ones(kept, in_last):
+    """Three of 120 places are like the photo alike: the first list is of two, the last of three.
+
+    Places of equal scores come in their order.
+    """
+    effort = replace(TWO_PLACES, last_least=3, last_most=3, beside=1)
+    first, last = retriever_of(many(120), effort=effort).shortlists(rays(3, 78.0), kept)
+    assert numbers(first) == {3, 43}
+    assert numbers(last) == in_last
 
 
 @pytest.mark.parametrize(("places", "lists"), [(1, 1), (2048, 1), (2049, 2), (2200, 2)])
@@ -142,9 +157,8 @@ def test_places_beyond_the_first_list_make_another(places, lists):
 
 def test_every_place_of_a_narrow_search_is_fitted(places):
     found = retriever_of(places).shortlist(rays(1, 77.0), 100, within_m(250.0))
-    nearest = np.rint(found.easting_m / 100.0)
-    assert set(nearest) == {0.0, 1.0, 2.0}
-    assert nearest[0] == 1.0
+    assert numbers(found) == {0, 1, 2}
+    assert numbers(found[:1]) == {1}
 
 
 def test_a_narrow_range_of_headings_repeats_no_fit():
@@ -198,22 +212,14 @@ def test_threads_change_nothing(monkeypatch):
         np.testing.assert_array_equal(one, several)
 
 
-def test_fits_climb_to_places_beside_that_screening_passed_over(places, monkeypatch):
+def test_fits_climb_to_places_beside_that_screening_passed_over(places):
     """Screening passes two places on. Beside the better one are three to the west and three to the
     east."""
-    few = replace(
-        retrieval._EFFORT,
-        first_places=1,
-        last_least=2,
-        last_most=2,
-        good_least=2,
-        screened_again=20,
-    )
-    monkeypatch.setattr(retrieval, "_EFFORT", few)
+    effort = replace(TWO_PLACES, first_places=1)
     # The coarse screen compares this place at odd turns, and the heading is one.
-    first, last = retriever_of(places).shortlists(rays(10, 79.0), 100)
-    assert set(np.rint(first.easting_m / 100.0)) == {10}
-    assert set(np.rint(last.easting_m / 100.0)) >= {7, 8, 9, 10, 11, 12, 13}
+    first, last = retriever_of(places, effort=effort).shortlists(rays(10, 79.0), 100)
+    assert numbers(first) == {10}
+    assert numbers(last) >= {7, 8, 9, 10, 11, 12, 13}
 
 
 @pytest.mark.parametrize("reports", [1, 2, 5])
@@ -239,7 +245,7 @@ def test_places_in_several_shards_are_found_as_in_one():
     whole = list(retriever_of(places).shortlists(rays(3, 77.0), 50))
     cuts = [slice(0, 7), slice(7, 1500), slice(1500, 2300)]
     shards = [LocalShard(places[cut]) for cut in cuts]
-    parts = list(Retriever([shards]).shortlists(rays(3, 77.0), 50))
+    parts = list(Retriever(JoinedShards([shards])).shortlists(rays(3, 77.0), 50))
     assert len(parts) == len(whole) == 2
     for one, other in zip(parts, whole, strict=True):
         for name, column in one.columns().items():
