@@ -17,7 +17,8 @@ from scenes import degree_tile, fractal, take_photo, write_dem
 import skyline_bench.cli
 from skyline import build_places, build_uniform, cli, read_dem, stand_at, stand_on
 from skyline.cli.terminal import Terminal
-from skyline.match import search
+from skyline.match.refine import QUICK
+from skyline.match.search import FullMatcher, SearchEffort
 from skyline.render.context import ENVIRONMENT_VARIABLE, held_context
 from skyline.survey import plans
 from skyline.survey.cluster import local_cluster
@@ -95,8 +96,8 @@ def no_gl_error():
 def refined_quickly():
     """Refine no photo thoroughly: commands are to run here, other tests hold their answers."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(search, "WHOLE", search.QUICK)
-        patch.setattr(search.FullMatcher, "sure_margin", -math.inf)
+        quickly = SearchEffort(whole=QUICK, sure_margin=-math.inf)
+        patch.setattr(FullMatcher, "effort", quickly)
         yield
 
 

@@ -25,12 +25,12 @@ from skyline import MatchConfig, build_places, open_store, read_dem
 from skyline.arrays import IntArray, UInt8Array
 from skyline.cli.terminal import Terminal
 from skyline.geodesy.map_frame import Frame
+from skyline.match.blas_threads import one_blas_thread
 from skyline.match.distant_shards import OpenAreas, Part, distant_shards
 from skyline.match.joined_shards import JoinedShards
 from skyline.match.prior import NOTHING_KNOWN
 from skyline.match.rays import Rays
 from skyline.match.retrieval import Retriever
-from skyline.match.search import one_blas_thread
 from skyline.match.shard import LocalShard
 from skyline.pose.pose import Poses
 from skyline.progress import silent

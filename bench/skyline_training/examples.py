@@ -282,12 +282,13 @@ def examples_from(
             rays = query.rays()
         except InputError:
             continue
-        found, poses = matcher.found(rays, prior)
-        if len(found):
-            figures = confidence.retrieved_figures(found, rays)
-            yield "retrieved", _example(figures, found, query, kind, searched_m)
+        found = matcher.found(rays, prior)
+        retrieved, poses = found.retrieved, found.refined
+        if len(retrieved):
+            figures = confidence.retrieved_figures(retrieved, rays)
+            yield "retrieved", _example(figures, retrieved, query, kind, searched_m)
         if poses is not None and len(poses):
-            figures = confidence.refined_figures(poses, found, rays)
+            figures = confidence.refined_figures(poses, retrieved, rays)
             yield "refined", _example(figures, poses, query, kind, searched_m)
             figures = confidence.pose_figures(poses, rays)
             yield confidence.FITTED, _example(figures, poses, query, kind, searched_m)

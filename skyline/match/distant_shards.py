@@ -15,12 +15,12 @@ from typing import Any
 from skyline.arrays import Float32Array, Float64Array, IntArray
 from skyline.files.disk import version_of
 from skyline.match.areas import terrain_at_hand
+from skyline.match.blas_threads import one_blas_thread
 from skyline.match.fit import FitEffort
 from skyline.match.posterior import AlikePlaces
 from skyline.match.prior import Prior
 from skyline.match.rays import Rays
 from skyline.match.screen import Alike, Screen, Turns
-from skyline.match.search import one_blas_thread
 from skyline.match.shard import LocalShard, Neighbours, Starts
 from skyline.pose.pose import Poses
 from skyline.progress import StepProgress, silent

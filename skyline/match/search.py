@@ -1,19 +1,16 @@
 """The full matcher: retrieval among places, refinement by rendering, and a confidence."""
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
-from threading import Lock
 from typing import ClassVar
 
 import numpy as np
-from threadpoolctl import ThreadpoolController
 
 from skyline.arrays import BoolArray, Float64Array
 from skyline.errors import InputError
 from skyline.geodesy.map_frame import Frame
 from skyline.match import confidence
+from skyline.match.blas_threads import one_blas_thread
 from skyline.match.joined_shards import JoinedShards
 from skyline.match.method import BY_RENDERING, SearchMethod
 from skyline.match.narrowing import Narrowing
@@ -33,69 +30,36 @@ from skyline.store.read import Store
 from skyline.terrain.heightfield import HeightField, ground_of
 from skyline.terrain.viewpoints import LEAST_EYE_HEIGHT_M, Viewpoints
 
-_SHORTLIST_LEAST = 400
-"""Least number of poses that retrieval returns."""
 _SHORTLIST_SHARE = 1 / 1500
 """Poses that retrieval returns for each place: the more places there are, the more are alike."""
-LARGE_AREA = round(WHOLE.shortlist / _SHORTLIST_SHARE)
-"""Places from which on the short list grows no more: it holds few poses of each neighbourhood."""
-SURE_MARGIN = 75.0
-"""A quick refinement is enough where its best pose leads all others by this margin."""
 _SEPARATION_M = 100.0
 """Least distance between candidates."""
-_SURROUNDINGS = 3
-"""Answers whose surroundings are searched again, where a quick refinement is not enough."""
-_SURROUNDINGS_KM = 2e-3 * ROUGHLY_WITHIN_M
-"""Radius of these surroundings: two poses that are roughly right are no farther apart."""
-_NEARBY_SHORTLIST = 100
-"""Poses that retrieval returns from the surroundings of one place."""
+_EYES = 20_000
+"""About as many eyes are returned of very many."""
 
 
-_blas = cache(ThreadpoolController)
-"""The libraries' controls, which take milliseconds to find."""
+@dataclass(frozen=True, slots=True)
+class SearchEffort:
+    """How many poses a search refines, and how thoroughly."""
 
-
-class _BlasLimit:
-    """The limit of matrix products to one thread, as long as anyone holds it.
-
-    BLAS has one limit for the whole process. Of two searches at a time, the one that ends first
-    must not lift the other's.
-    """
-
-    def __init__(self) -> None:
-        self._lock = Lock()
-        self._holders = 0
-        self._limit = ExitStack()
-
-    def hold(self) -> None:
-        with self._lock:
-            if not self._holders:
-                self._limit.enter_context(_blas().limit(limits=1, user_api="blas"))
-            self._holders += 1
-
-    def release(self) -> None:
-        with self._lock:
-            self._holders -= 1
-            if not self._holders:
-                self._limit.close()
-
-
-_BLAS_LIMIT = _BlasLimit()
-
-
-@contextmanager
-def one_blas_thread() -> Iterator[None]:
-    """Limit matrix products to one thread each within the block.
-
-    If a BLAS library splits small products among threads, each thread waits for the slowest a
-    thousand times a second, and a busy machine becomes several times slower. Matching shares its
-    work by blocks of places instead. One thread also gives the same bits in every process.
-    """
-    _BLAS_LIMIT.hold()
-    try:
-        yield
-    finally:
-        _BLAS_LIMIT.release()
+    quick: Effort = QUICK
+    """Effort for the first short list, and for the surroundings of answers."""
+    whole: Effort = WHOLE
+    """Effort for the last short list."""
+    sure_margin: float = 75.0
+    """A quick refinement is enough where its best pose leads all others by this margin."""
+    least_shortlist: int = 400
+    """Least number of poses that retrieval returns; the greatest is that of ``whole``."""
+    large_area: float = round(WHOLE.shortlist / _SHORTLIST_SHARE)
+    """Places from which on the short list grows no more: it holds few poses of each
+    neighbourhood."""
+    surroundings: int = 3
+    """Answers whose surroundings are searched again in a large area, where a quick refinement is
+    not enough."""
+    surroundings_km: float = 2e-3 * ROUGHLY_WITHIN_M
+    """Radius of these surroundings: two poses that are roughly right are no farther apart."""
+    nearby_shortlist: int = 100
+    """Poses that retrieval returns from the surroundings of one place."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,6 +69,20 @@ class SearchedArea:
     shards: Sequence[Shard]
     frame: Frame
     scene: RenderedScene | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FoundPoses:
+    """The poses found for one photo."""
+
+    retrieved: Poses
+    refined: Poses | None
+    """None without a scene."""
+
+    @property
+    def best(self) -> Poses:
+        """The best refined pose alone, or none."""
+        return self.retrieved[:0] if self.refined is None else self.refined[:1]
 
 
 class FullMatcher(SearchMethod):
@@ -118,8 +96,7 @@ class FullMatcher(SearchMethod):
     renders = True
     finds_fov = True
     takes_prior = True
-    sure_margin: ClassVar[float] = SURE_MARGIN
-    large_area: ClassVar[int] = LARGE_AREA
+    effort: ClassVar[SearchEffort] = SearchEffort()
 
     def __init__(self, areas: Sequence[SearchedArea], at_once: int = 1) -> None:
         self._areas = areas
@@ -128,7 +105,7 @@ class FullMatcher(SearchMethod):
         self._retriever = Retriever(self._places)
         self.models = confidence.models()
         share = round(_SHORTLIST_SHARE * len(self._places))
-        self._shortlist = min(max(share, _SHORTLIST_LEAST), WHOLE.shortlist)
+        self._shortlist = min(max(share, self.effort.least_shortlist), self.effort.whole.shortlist)
 
     @classmethod
     def open(
@@ -160,57 +137,59 @@ class FullMatcher(SearchMethod):
 
     def eyes(self) -> Viewpoints:
         """Return the eyes of all places, or a sample of very many."""
-        some = self._places.sample(20_000)
+        some = self._places.sample(_EYES)
         eyes = (some.easting_m, some.northing_m, some.eye_elevation_m)
         east_m, north_m, eye_m = (column.astype(np.float64) for column in eyes)
         return Viewpoints(easting_m=east_m, northing_m=north_m, eye_elevation_m=eye_m)
 
     def search(self, rays: Rays, prior: Prior, top: int, report: StepProgress = silent) -> Poses:
         """Return up to ``top`` poses with confidences, best first; see `SearchMethod.search`."""
-        found, poses = self.found(rays, prior, report)
-        if not len(found):
-            return found
+        found = self.found(rays, prior, report)
+        retrieved, poses = found.retrieved, found.refined
+        if not len(retrieved):
+            return retrieved
         if poses is None:
-            figures = confidence.retrieved_figures(found, rays)
-            chosen = found.suppress_non_maxima(top, _SEPARATION_M)
+            figures = confidence.retrieved_figures(retrieved, rays)
+            chosen = retrieved.suppress_non_maxima(top, _SEPARATION_M)
             near, roughly = confidence.probabilities(self.models, "retrieved", figures)
-            return replace(found, confidence=near, confidence_1km=roughly)[chosen]
+            return replace(retrieved, confidence=near, confidence_1km=roughly)[chosen]
         if not len(poses):
             return poses
         # A pose that has moved out of the narrowing is no candidate.
         is_allowed = prior.allows(poses, self._frames)
-        allowed = replace(poses, cost=np.where(is_allowed, poses.cost, np.inf))
-        chosen = allowed.suppress_non_maxima(top, _SEPARATION_M)
+        narrowed = replace(poses, cost=np.where(is_allowed, poses.cost, np.inf))
+        chosen = narrowed.suppress_non_maxima(top, _SEPARATION_M)
         if not len(chosen):
             return poses[chosen]
-        figures = confidence.refined_figures(allowed, found, rays)
-        near, roughly = confidence.shared_probabilities(self.models, allowed, figures)
+        figures = confidence.refined_figures(narrowed, retrieved, rays)
+        near, roughly = confidence.shared_probabilities(self.models, narrowed, figures)
         return replace(poses, confidence=near, confidence_1km=roughly)[chosen]
 
     @one_blas_thread()
-    def found(
-        self, rays: Rays, prior: Prior, report: StepProgress = silent
-    ) -> tuple[Poses, Poses | None]:
-        """Return the poses retrieved for a photo, and the refined ones.
+    def found(self, rays: Rays, prior: Prior, report: StepProgress = silent) -> FoundPoses:
+        """Return the poses found for a photo.
 
-        Without a scene, None stands for the refined ones. The first short list is refined quickly.
-        That is enough where one place fits far better than any other, as with most skylines.
-        Otherwise the last short list is refined with more effort, and in a large area the
-        surroundings of the best answers are searched again. Raises as `search`.
+        The first short list is refined quickly. That is enough where one place fits far better than
+        any other, as with most skylines. Otherwise the last short list is refined with more effort,
+        and in a large area the surroundings of the best answers are searched again. Raises as
+        `search`.
         """
+        effort = self.effort
         lists = self._retriever.shortlists(rays, self._shortlist, prior, report)
-        found = next(lists)
+        retrieved = next(lists)
         if self._areas[0].scene is None:
-            return next(lists, found), None
+            return FoundPoses(next(lists, retrieved), None)
         noted = self._near_noted(rays, prior, report)
-        poses = self._refined(QUICK, rays, prior, _with_noted(found, noted), report)
-        if len(poses) and poses.figures().margin[0] > self.sure_margin:
-            return found, poses
-        found = next(lists, found)
-        poses = self._refined(WHOLE, rays, prior, _with_noted(found, noted), report)
-        if len(self._places) > self.large_area:
+        some = _with_noted(retrieved, noted)
+        poses = self._refined(effort.quick, rays, prior, some, report)
+        if len(poses) and poses.figures().margin[0] > effort.sure_margin:
+            return FoundPoses(retrieved, poses)
+        retrieved = next(lists, retrieved)
+        some = _with_noted(retrieved, noted)
+        poses = self._refined(effort.whole, rays, prior, some, report)
+        if len(self._places) > effort.large_area:
             poses = self._with_surroundings(rays, prior, poses, report)
-        return found, poses
+        return FoundPoses(retrieved, poses)
 
     def _with_surroundings(
         self, rays: Rays, prior: Prior, poses: Poses, report: StepProgress
@@ -221,17 +200,18 @@ class FullMatcher(SearchMethod):
         A search of the surroundings alone finds better ones. The best rivals get such a search as
         well, so that no answer leads by its second search.
         """
-        answers = poses[poses.suppress_non_maxima(_SURROUNDINGS, 1000.0 * _SURROUNDINGS_KM)]
+        effort = self.effort
+        radius_km = effort.surroundings_km
+        answers = poses[poses.suppress_non_maxima(effort.surroundings, 1000.0 * radius_km)]
         parts = [poses]
         for number, one in enumerate(answers.on_map(*(area.frame for area in self._areas))):
             report(Step.SURROUNDINGS, number / len(answers))
-            around = prior.around(
-                self._areas[0].frame, lon=one.lon, lat=one.lat, radius_km=_SURROUNDINGS_KM
-            )
+            frame = self._areas[0].frame
+            around = prior.around(frame, lon=one.lon, lat=one.lat, radius_km=radius_km)
             near = self._retrieved_in(around, rays)
             if near is not None:
-                parts.append(self._refined(QUICK, rays, prior, near))
-        return best_of_several(parts, WHOLE.finalists)
+                parts.append(self._refined(effort.quick, rays, prior, near))
+        return best_of_several(parts, effort.whole.finalists)
 
     def _refined(
         self,
@@ -289,7 +269,7 @@ class FullMatcher(SearchMethod):
             rays,
             Poses.of(best),
             best.confidence_1km or 0.0,
-            lambda bent: Refinement(bent, scene, QUICK, its_prior),
+            lambda bent: Refinement(bent, scene, self.effort.quick, its_prior),
         )
 
     @one_blas_thread()
@@ -310,7 +290,7 @@ class FullMatcher(SearchMethod):
         if not np.isfinite(off_m).all():
             raise InputError("the pose to fit from is off the map or on a hole; move it")
         above_m = max(LEAST_EYE_HEIGHT_M, float(off_m[0]))
-        effort = replace(WHOLE, restarts=1)
+        effort = replace(self.effort.whole, restarts=1)
         held = Prior(Narrowing(eye_height_m=above_m))
         poses = Refinement(about_start, scene, effort, held).run(pose)
         poses = Refinement(rays, scene, effort, prior, first_eye_height_m=above_m).run(poses[:1])
@@ -337,29 +317,27 @@ class FullMatcher(SearchMethod):
         """
         scene = self._needed_scene()
         photos = _with_one_noted_place(photos)
+        whole = self.effort.whole
         found = [self.found(rays, prior, report) for rays, prior in photos]
-        alone = [places[:0] if poses is None else poses[:1] for places, poses in found]
         refinements = [
-            Refinement(rays, scene, WHOLE, prior, report=report) for rays, prior in photos
+            Refinement(rays, scene, whole, prior, report=report) for rays, prior in photos
         ]
-        places = self._retriever.shortlist_together(photos, WHOLE.particles, report)
-        joint, agreeing = JointRefinement(refinements).run(places, alone)
+        together = self._retriever.shortlist_together(photos, whole.particles, report)
+        joint, agreeing = JointRefinement(refinements).run(together, [one.best for one in found])
         cost = joint[0].cost
         for poses, (_, prior), agrees in zip(joint, photos, agreeing, strict=True):
             cost = np.where(prior.allows(poses) | ~agrees, cost, np.inf)
-        standing = replace(joint[0], cost=cost)
-        chosen = standing.suppress_non_maxima(top, _SEPARATION_M)
+        places = replace(joint[0], cost=cost)
+        chosen = places.suppress_non_maxima(top, _SEPARATION_M)
         agrees = np.asarray(agreeing[:, chosen[:1]].any(axis=1))
         # Margins are means over the photos, and so are these odds.
         cost_of_one = cost / max(agrees.sum(), 1)
         figures = [
-            confidence.refined_figures(replace(poses, cost=cost_of_one), retrieved, rays)
-            for poses, (rays, _), (retrieved, _), belongs in zip(
-                joint, photos, found, agrees, strict=True
-            )
-            if belongs and len(retrieved)
+            confidence.refined_figures(replace(poses, cost=cost_of_one), alone.retrieved, rays)
+            for poses, (rays, _), alone, belongs in zip(joint, photos, found, agrees, strict=True)
+            if belongs and len(alone.retrieved)
         ]
-        near, roughly = self._joint_probabilities(standing, figures)
+        near, roughly = self._joint_probabilities(places, figures)
         sure = [replace(poses, confidence=near, confidence_1km=roughly) for poses in joint]
         return [poses[chosen] for poses in sure], agrees
 
@@ -399,7 +377,9 @@ class FullMatcher(SearchMethod):
         Returns None if no place of the store lies in them.
         """
         try:
-            return self._retriever.shortlist(rays, _NEARBY_SHORTLIST, surroundings, report)
+            return self._retriever.shortlist(
+                rays, self.effort.nearby_shortlist, surroundings, report
+            )
         except NoPlaceError:
             return None
 

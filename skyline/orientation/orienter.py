@@ -28,6 +28,7 @@ from skyline.angles import angle_between_deg
 from skyline.arrays import Float64Array, refuse_text
 from skyline.errors import InputError, printable
 from skyline.match import confidence
+from skyline.match.blas_threads import one_blas_thread
 from skyline.match.eye_prior import EyeHeightPrior, KnownGround, Standing
 from skyline.match.joined_shards import JoinedShards
 from skyline.match.narrowing import Narrowing
@@ -38,7 +39,6 @@ from skyline.match.prior import Prior
 from skyline.match.rays import Rays
 from skyline.match.refine import VIEW_WIDTH, Effort, Particles, Refinement
 from skyline.match.retrieval import Retriever
-from skyline.match.search import one_blas_thread
 from skyline.match.shard import LocalShard
 from skyline.match.solver import TEMPERATURE
 from skyline.match.verdict import confidence_in_words, refusal_of, too_little

@@ -8,14 +8,13 @@ from commands import gps_of, lonlat_of, noting, off_m
 from PIL.ExifTags import GPS, Base
 from PIL.TiffImagePlugin import IFDRational
 
-from skyline.match import refine, search
+from skyline.match.search import FullMatcher, SearchEffort
 
 
 def test_the_lens_in_the_exif_is_weighed(run, store, photo, tmp_path, monkeypatch):
     """The photo spans 60 degrees: 36 mm of film at 31 mm."""
     # A quick refinement may stop beside the best field of view, where none is known.
-    monkeypatch.setattr(search, "WHOLE", refine.WHOLE)
-    monkeypatch.setattr(search.FullMatcher, "sure_margin", math.inf)
+    monkeypatch.setattr(FullMatcher, "effort", SearchEffort(sure_margin=math.inf))
     size = {Base.ExifImageWidth: 4000, Base.ExifImageHeight: 3000}
     cropped = noting(photo, tmp_path / "cropped.jpg", size | {Base.FocalLengthIn35mmFilm: 24})
     lie = noting(photo, tmp_path / "lie.jpg", {Base.FocalLengthIn35mmFilm: 9999})

@@ -14,8 +14,9 @@ from skyline import MatchConfig, Matcher, Narrowing, build_places, horizon
 from skyline.angles import angle_between_deg
 from skyline.camera.projection import Projection
 from skyline.errors import InputError
-from skyline.match import search
 from skyline.match.prior import NOTHING_KNOWN
+from skyline.match.refine import QUICK, WHOLE
+from skyline.match.search import FullMatcher, SearchedArea, SearchEffort
 from skyline.match.shard import LocalShard
 from skyline.match.solver import TEMPERATURE
 from skyline.photo.noted_place import NotedPlace
@@ -239,8 +240,8 @@ def test_photos_of_one_place_are_not_matched_without_rendering(
 @pytest.mark.parametrize(("margin", "lists"), [(-math.inf, 1), (math.inf, 2)])
 def test_a_sure_answer_of_the_first_short_list_ends_the_search(terrain, monkeypatch, margin, lists):
     """The first list is of 2048 of the 2100 places; each is refined once it is fitted."""
-    monkeypatch.setattr(search, "WHOLE", search.QUICK)
-    monkeypatch.setattr(search.FullMatcher, "sure_margin", margin)
+    effort = SearchEffort(whole=QUICK, sure_margin=margin)
+    monkeypatch.setattr(FullMatcher, "effort", effort)
     steps = []
     skylines = np.stack([curve(seed % 40, AZIMUTH_DEG) for seed in range(2100)])
     places = places_of(skylines, spacing_m=0.5)
@@ -250,7 +251,7 @@ def test_a_sure_answer_of_the_first_short_list_ends_the_search(terrain, monkeypa
         northing_m=MIDDLE[1] + places.northing_m,
     )
     scene = RenderedScene(terrain, RenderConfig(360))
-    matcher = search.FullMatcher([search.SearchedArea([LocalShard(places)], terrain.frame, scene)])
+    matcher = FullMatcher([SearchedArea([LocalShard(places)], terrain.frame, scene)])
     matcher.found(rays(3, 77.0), NOTHING_KNOWN, lambda step, share: steps.append(step))
     scene.close()
     assert [step for step, _ in groupby(steps)] == ["screening", *["fitting", "refining"] * lists]
@@ -260,12 +261,11 @@ def test_a_large_area_is_searched_again_around_its_best_answers(
     store, terrain, queries, monkeypatch
 ):
     """The first refinement renders one pose and does not move it; places are 40 m apart."""
-    hasty = replace(search.WHOLE, shortlist=1, rounds=1, restarts=0, final_rounds=0)
-    monkeypatch.setattr(search, "WHOLE", hasty)
-    monkeypatch.setattr(search.FullMatcher, "sure_margin", math.inf)
+    hasty = replace(WHOLE, shortlist=1, rounds=1, restarts=0, final_rounds=0)
 
     def errors_m(large_area):
-        monkeypatch.setattr(search.FullMatcher, "large_area", large_area)
+        effort = SearchEffort(whole=hasty, sure_margin=math.inf, large_area=large_area)
+        monkeypatch.setattr(FullMatcher, "effort", effort)
         with Matcher(store, terrain, config=BOLD) as matcher:
             found = [matcher.match(query.skyline).best for query in queries]
         return [error_m(pose, query.truth) for pose, query in zip(found, queries, strict=True)]
@@ -277,9 +277,8 @@ def test_a_large_area_is_searched_again_around_its_best_answers(
 def test_the_search_around_the_best_answers_is_the_last_step_and_reported_by_answer(
     store, terrain, queries, monkeypatch
 ):
-    monkeypatch.setattr(search.FullMatcher, "sure_margin", math.inf)
-    monkeypatch.setattr(search.FullMatcher, "large_area", 0)
-    monkeypatch.setattr(search, "_SURROUNDINGS_KM", 0.05)
+    effort = SearchEffort(sure_margin=math.inf, large_area=0, surroundings_km=0.05)
+    monkeypatch.setattr(FullMatcher, "effort", effort)
     reports = []
     with Matcher(store, terrain, config=BOLD) as matcher:
         matcher.match(queries[0].skyline, report_progress=lambda *report: reports.append(report))

@@ -76,8 +76,8 @@ def test_a_photo_is_found_in_its_own_area(matcher, areas, stores, skylines, area
 
 def test_the_surroundings_of_an_answer_are_searched_in_its_own_area(matcher, skylines, monkeypatch):
     plain = matcher.match(skylines[1]).answer
-    monkeypatch.setattr(FullMatcher, "sure_margin", math.inf)
-    monkeypatch.setattr(FullMatcher, "large_area", 0)
+    thorough = replace(FullMatcher.effort, sure_margin=math.inf, large_area=0)
+    monkeypatch.setattr(FullMatcher, "effort", thorough)
     again = matcher.match(skylines[1]).answer
     assert again.area == 1
     assert again.cost <= plain.cost

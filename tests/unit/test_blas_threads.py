@@ -2,7 +2,7 @@
 
 from threadpoolctl import ThreadpoolController, threadpool_limits
 
-from skyline.match.search import one_blas_thread
+from skyline.match.blas_threads import one_blas_thread
 
 
 def blas_threads():
