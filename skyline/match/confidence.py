@@ -67,8 +67,7 @@ class _FigureLimits:
     min_margin: float = 1e-3
     """Smaller margins count as this before their logarithm is taken."""
     max_margin: float = 60.0
-    """Greater margins count as this. Models learned with limits of up to 1,000 are no better, since
-    the margins of queries from other regions can reach 124."""
+    """Greater margins count as this: photos from other regions can have great margins, too."""
     greatest_lead: float = 2.0
     """Greater leads in retrieval count as this, ahead or behind, in expected errors of a ray."""
     least_weight: float = 1e-9
@@ -220,7 +219,7 @@ def _log_odds(poses: Poses, within_m: float) -> Float64Array:
 
 
 def _lead(best: Poses, found: Poses, within_m: float) -> float:
-    """Return how much less one answer costs than its best rival in retrieval.
+    """Return how far an answer leads its best rival in retrieval.
 
     ``best`` is the answer's refined pose; it owns the retrieved poses within a distance that look
     its way. The lead is negative if a rival costs less. An answer without retrieved poses counts as

@@ -19,8 +19,7 @@ class MatchConfig:
         The best place is the answer if it is right within 1 km with at least this probability,
         from 0 to 1. The answer is given within 200 m, rather than 1 km, if that leaves at most half
         of the allowed doubt: with the default, if it is right within 200 m with a probability of
-        0.9. Of the 255 queries of terrain held out from learning that reached 0.8 within 1 km, 245
-        were right; docs/accuracy.md says how hard those queries are.
+        0.9. docs/accuracy.md says how many of such answers are right.
     fov_sd_share : float
         Standard deviation of a given field of view, as a share of it, 0 to 1.
 

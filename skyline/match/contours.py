@@ -102,12 +102,9 @@ class _Odds:
 
     slope: float = 1.0
     even: float = 1.5
-    """``slope``, ``even``: b and z_0, rounded from a logistic fit to right poses of 9 photographs
-    of the Sierra Nevada, Columbia Glacier and Rofental, and to 54 wrong poses of these and of
-    strangers. With them the log loss of the confidence within 1 km fell from 0.20 to 0.13 for 31
-    other matches, 5 of them right."""
+    """``slope``, ``even``: b and z_0, rounded from a logistic fit (docs/method.md)."""
     most: float = math.log(10.0)
-    """Greatest change of the log odds: one photo in ten may be unlike those photographs."""
+    """Greatest change of the log odds: few photographs were fitted to."""
 
 
 _RULES = _Rules()

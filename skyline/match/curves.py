@@ -1,4 +1,4 @@
-r"""The skylines of eyes as curves, and how they change as the eyes move.
+r"""Skylines of eyes as curves, and their change as the eyes move.
 
 An eye that moves by (e, n, up) sees a skyline point at azimuth a, elevation tangent y and
 horizontal distance d move by

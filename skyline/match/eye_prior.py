@@ -150,7 +150,7 @@ class _NotedHeight:
 
 
 def _density_aloft(share: float, above_m: float) -> float:
-    """Return the density of a height above the ground, of a share of eyes aloft."""
+    """Return the density of a height above the ground of eyes aloft."""
     return share * 2.0 / (math.pi * _ALOFT.median_m) / (1.0 + (above_m / _ALOFT.median_m) ** 2)
 
 

@@ -42,13 +42,12 @@ class FitErrors:
 
     photo_deg: float = 0.06
     """Error of the mean of a run of rays, at a field of view of 60 degrees."""
-    curvature: float = 0.05
+    second_order: float = 0.05
     """Error of the tangent over (t / D)^2, for an eye at t from its place and terrain at D."""
     pitch_sd_deg: float = 5.0
     roll_sd_deg: float = 4.0
     """Standard deviations from a level camera. Refinement takes 6 and 3 degrees
-    (`AssumedErrors`); with these, fits lost one of 150 queries, and an unmarked panorama was no
-    longer named."""
+    (`skyline.pose.pose_errors.AssumedErrors`)."""
     most: float = 8.0
     """Greater misses of a ray count as this, in expected errors: in coarse elevation models, rays
     of the right pose miss by several."""
@@ -201,7 +200,7 @@ class CurveFit:
 
     def _weight(self, state: Float32Array, misses: _Misses, scale_deg: float) -> Float32Array:
         """Return the weights (M, R) of rays in a round."""
-        bent = _ERRORS.curvature * np.square(self._deviation_m * misses.nearness)
+        bent = _ERRORS.second_order * np.square(self._deviation_m * misses.nearness)
         variance = np.square(self._photo_error(state))[:, np.newaxis] + np.square(bent)
         weight = self._rays.weight.astype(np.float32) * misses.known
         variance = variance.astype(np.float32)
@@ -270,5 +269,5 @@ class CurveFit:
 
 
 def _closed(curve: FloatArray) -> FloatArray:
-    """Return curves (M, B) all the way round with their first values repeated."""
+    """Return curves (M, B) with their first values repeated at the end."""
     return np.concatenate([curve, curve[:, :1]], axis=1)

@@ -64,7 +64,7 @@ class JoinedShards:
         count: int,
         report: StepProgress = silent,
     ) -> Alike:
-        """Return the ``count`` places with the best sums of photos' scores, best first.
+        """Return the ``count`` best places by the sums of photos' scores, best first.
 
         The places lie within the narrowings of all priors.
         """

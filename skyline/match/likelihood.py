@@ -115,7 +115,7 @@ class HeightErrors(Rows):
 
     @property
     def may_rise(self) -> BoolArray:
-        """Whether terrain past the data's edge may rise above the skyline (M, R)."""
+        """Whether terrain past the data's edge may hide the skyline (M, R)."""
         return self.beyond_rad > 0.0
 
 
@@ -365,7 +365,7 @@ class _Mixture:
 def _beyond_share(
     trust: Float64Array, hidden: Float64Array, density: Float64Array, seen: Float64Array
 ) -> Float64Array:
-    """Return the share (M, 1) of columns in which terrain past the edge rises.
+    """Return the share (M, 1) of columns with terrain past the edge.
 
     Only the columns where it may rise count; in all others ``trust`` (M, R) is 0. The share is the
     likeliest one of at most `ErrorModel.beyond_share`. If each column had that prior by itself, a

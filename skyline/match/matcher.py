@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from datetime import datetime, timedelta
+from datetime import datetime
 from functools import cached_property
-from itertools import pairwise
 from pathlib import Path
 from typing import TypeVar
 
@@ -16,7 +14,6 @@ import numpy as np
 from PIL.Image import Image
 from pyproj import CRS
 
-from skyline.arrays import refuse_text
 from skyline.errors import InputError
 from skyline.geodesy.map_frame import Frame
 from skyline.match.areas import MatchedArea, frame_of, paths_of, terrain_at_hand
@@ -26,6 +23,7 @@ from skyline.match.contours import weighed_by_contours
 from skyline.match.joint_result import JointResult
 from skyline.match.method import MATCHERS, SearchMethod
 from skyline.match.narrowing import Narrowing
+from skyline.match.other_projection import OtherProjection
 from skyline.match.posterior import Findings, Posterior, grid_around, posterior_of
 from skyline.match.prior import NOTHING_KNOWN, Prior
 from skyline.match.rays import Rays
@@ -33,7 +31,7 @@ from skyline.match.refine import VIEW_WIDTH
 from skyline.match.result import TOP, MatchResult
 from skyline.match.shard import Shard
 from skyline.match.verdict import Verdict, candidate_reached, too_little
-from skyline.match.walk import check_times, joined
+from skyline.match.walk import check_walk, of_walk
 from skyline.photo.haze import farther_skylines
 from skyline.photo.image import Picture
 from skyline.photo.read import named_skyline
@@ -304,11 +302,16 @@ class Matcher(Closeable):
         """Return whether the best candidate is the answer."""
         if found.known is None:
             return Verdict(found.refusal)
-        rays, prior = found.known
-        other = None
-        if found.candidates:
-            other = self._method.other_projection(rays, found.candidates[0], prior)
+        rays, _ = found.known
+        other = self._other_projection(found)
         return Verdict.of_search(found.candidates, other, self._config, found.skyline, rays)
+
+    def _other_projection(self, found: _Search) -> OtherProjection | None:
+        """Return the likeliest other projection of a photo by its best candidate."""
+        if found.known is None or found.best is None:
+            return None
+        rays, prior = found.known
+        return self._method.other_projection(rays, found.best, prior)
 
     def _weighed(self, candidates: tuple[Pose, ...], skyline: PhotoSkyline) -> tuple[Pose, ...]:
         """Return the candidates, weighed by what a photo shows below its skyline."""
@@ -359,38 +362,29 @@ class Matcher(Closeable):
         """
         started = time.perf_counter()
         _check_top(top)
-        read = self._read(photos, fov_deg, narrowings)
-        usable = {
-            number: photo.known for number, photo in enumerate(read) if photo.known is not None
-        }
-        found = self._found_together(usable, top, report_progress)
-        verdict = Verdict.of_joint_search(
-            list(found.values()),
-            (
-                (read[number].name, self._method.other_projection(rays, candidates[0], prior))
-                for number, (rays, prior) in usable.items()
-                if (candidates := found.get(number))
-            ),
-            self._config,
-        )
+        found = self._found_together(self._read(photos, fov_deg, narrowings), top, report_progress)
+        agreeing = [one for one in found if one.candidates]
+        others = ((one.name, self._other_projection(one)) for one in agreeing)
+        candidates = [one.candidates for one in agreeing]
+        verdict = Verdict.of_joint_search(candidates, others, self._config)
         seconds = time.perf_counter() - started
-        apart = Verdict(_DISAGREES if len(usable) > 1 else _ALONE)
+        usable = sum(one.known is not None for one in found)
+        apart = _DISAGREES if usable > 1 else _ALONE
         results = []
-        for number, photo in enumerate(read):
-            alone = apart if photo.refusal is None else Verdict(photo.refusal)
-            own = verdict if number in found else alone
+        for one in found:
+            own = verdict if one.candidates else Verdict(one.refusal or apart)
             results.append(
                 MatchResult(
-                    photo.skyline,
-                    found.get(number, ()),
+                    one.skyline,
+                    one.candidates,
                     seconds,
                     own.refusal,
                     own.within_m,
-                    photo.name,
+                    one.name,
                     crs=self.crs,
                 )
             )
-        given = tuple(narrowing or Narrowing() for narrowing in narrowings or [None] * len(read))
+        given = tuple(narrowing or Narrowing() for narrowing in narrowings or [None] * len(found))
         return JointResult(tuple(results), seconds, verdict.refusal, given)
 
     def posterior(
@@ -449,25 +443,16 @@ class Matcher(Closeable):
         StoreError
             See `match`.
         """
-        refuse_text(walked_km_h=walked_km_h)
-        if not results or len(times) != len(results) or not 0.0 < walked_km_h < math.inf:
-            raise InputError(
-                f"{len(results)} photos, {len(times)} times and {walked_km_h} km/h; expected a "
-                "photo or more, a time for each, and a speed above 0"
-            )
-        check_times(times)
+        check_walk(len(results), times, walked_km_h)
         frame = self.only_area().frame
-        order = sorted(range(len(results)), key=lambda number: times[number])
-        known = []
-        for done, number in enumerate(order):
+        found = []
+        for done, result in enumerate(results):
             if progress is not None:
-                progress(done, len(order))
-            known.append(self._findings(results[number], silent))
-        grid = grid_around(known)
-        alone = [posterior_of(found, frame, grid) for found in known]
-        hours = [(times[b] - times[a]) / timedelta(hours=1) for a, b in pairwise(order)]
-        together = joined(alone, [1000.0 * walked_km_h * one for one in hours])
-        return [together[order.index(number)] for number in range(len(order))]
+                progress(done, len(results))
+            found.append(self._findings(result, silent))
+        grid = grid_around(found)
+        alone = [posterior_of(one, frame, grid) for one in found]
+        return of_walk(alone, times, walked_km_h)
 
     def _findings(
         self, result: MatchResult | JointResult, report_progress: StepProgress
@@ -506,21 +491,21 @@ class Matcher(Closeable):
         ]
 
     def _found_together(
-        self, usable: Mapping[int, tuple[Rays, Prior]], top: int, report: StepProgress
-    ) -> dict[int, tuple[Pose, ...]]:
-        """Return the candidates of the photos that agree, by number.
-
-        ``usable`` has the photos that show enough skyline, by number.
-        """
+        self, photos: Sequence[_Search], top: int, report: StepProgress
+    ) -> list[_Search]:
+        """Return photos with their common candidates, as far as they agree."""
+        usable = {
+            number: photo.known for number, photo in enumerate(photos) if photo.known is not None
+        }
+        found = list(photos)
         if len(usable) < 2:
-            return {}
+            return found
         self.only_area()
         together, agrees = self._method.search_together(list(usable.values()), top, report)
-        return {
-            number: self._on_map(poses)
-            for number, poses, belongs in zip(usable, together, agrees, strict=True)
-            if belongs and len(poses)
-        }
+        for number, poses, belongs in zip(usable, together, agrees, strict=True):
+            if belongs:
+                found[number] = replace(photos[number], candidates=self._on_map(poses))
+        return found
 
     def fit(
         self,

@@ -32,7 +32,7 @@ class _Wrong:
     """Assumptions about positions and headings that are wrong altogether."""
 
     share: float = 0.05
-    """w, the share of wrong positions. Of 20 photos examined, one had a position 6 km off."""
+    """w, the share of wrong positions: a guess."""
     anywhere_m2: float = 1e9
     """A, a circle of 18 km: the area of a search without a noted position."""
     compass_share: float = 0.2

@@ -139,7 +139,7 @@ class Findings:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Spots(Rows):
+class _Spots(Rows):
     """N candidates, each with a share of the probability."""
 
     easting_m: Float64Array
@@ -147,6 +147,17 @@ class Spots(Rows):
     covariance_m2: Float64Array
     """(N, 2, 2) float64."""
     share: Float64Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Shares:
+    """How candidates share the probability."""
+
+    spots: _Spots
+    roughly: float
+    """Probability that the best one is off by 200 m to 1 km and no other is right."""
+    none_right: float
+    """Probability that none is right."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -296,14 +307,15 @@ def posterior_of(found: Findings, frame: Frame, grid: CellGrid | None = None) ->
     and the candidates.
     """
     fitted, places, noted = found.fitted, found.places, found.noted
-    spots, roughly, left = candidate_spots(found.candidates)
+    shares = _shares_of(found.candidates)
+    spots, left = shares.spots, shares.none_right
     layer = _Layer(grid or grid_around([found]))
     for spot in spots:
         layer.add_spot(spot)
     if len(spots):
         best = spots[:1]
         wide_m = np.array([SPREAD.roughly_sd_m])
-        layer.add_round(best.easting_m, best.northing_m, wide_m, np.array([roughly]))
+        layer.add_round(best.easting_m, best.northing_m, wide_m, np.array([shares.roughly]))
     by_fits = SPREAD.fitted_share * left if len(fitted) else 0.0
     if by_fits:
         gain = _log_prior(fitted, noted) - fitted.cost / SPREAD.temperature
@@ -318,16 +330,15 @@ def posterior_of(found: Findings, frame: Frame, grid: CellGrid | None = None) ->
     return Posterior(probability.astype(np.float32), layer.grid, frame)
 
 
-def candidate_spots(candidates: Sequence[Pose]) -> tuple[Spots, float, float]:
-    """Return the candidates with their shares of the probability.
+def _shares_of(candidates: Sequence[Pose]) -> _Shares:
+    """Return how candidates share the probability.
 
-    The second value is the probability that the best candidate is off by 200 m to 1 km and no other
-    is right. The third is the probability that none is right. A candidate within 200 m of a better
-    one has no share of its own: the better one's confidence and covariance include it.
+    A candidate within 200 m of a better one has no share of its own: the better one's confidence
+    and covariance include it.
     """
     if not candidates:
         none = np.zeros(0)
-        return Spots(none, none, np.zeros((0, 2, 2)), none), 0.0, 1.0
+        return _Shares(_Spots(none, none, np.zeros((0, 2, 2)), none), 0.0, 1.0)
     place = np.array([(one.easting_m, one.northing_m) for one in candidates])
     apart_m = np.hypot(*(place[:, np.newaxis] - place).T)
     is_near = np.tril(apart_m <= RIGHT_WITHIN_M, -1).any(axis=1)
@@ -337,7 +348,7 @@ def candidate_spots(candidates: Sequence[Pose]) -> tuple[Spots, float, float]:
     left = max(0.0, 1.0 - float(share.sum()) - roughly)
     unknown = ((SPREAD.unknown_sd_m**2, 0.0), (0.0, SPREAD.unknown_sd_m**2))
     covariance_m2 = np.array([one.covariance_m2 or unknown for one in candidates])
-    return Spots(place[:, 0], place[:, 1], covariance_m2, share), roughly, left
+    return _Shares(_Spots(place[:, 0], place[:, 1], covariance_m2, share), roughly, left)
 
 
 def _log_prior(at: Poses | AlikePlaces, noted: PositionPrior | None) -> Float64Array:
@@ -361,7 +372,7 @@ class _Layer:
         self.grid = grid
         self.probability = np.zeros(grid.shape)
 
-    def add_spot(self, spot: Spots) -> None:
+    def add_spot(self, spot: _Spots) -> None:
         """Add a candidate's distribution, as far as it lies on the grid."""
         # Half a cell is added, so that a narrow distribution reaches the middle of a cell.
         grid = self.grid

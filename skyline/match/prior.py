@@ -1,4 +1,4 @@
-"""What the user and EXIF tell about a photo's pose, in a frame."""
+"""What user and EXIF tell of a photo's pose, in a frame."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace

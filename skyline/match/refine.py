@@ -208,7 +208,7 @@ class Refinement:
         return self.with_figures(self.distinct(particles, effort.finalists))
 
     def _first(self, poses: Poses) -> Particles:
-        """Return the particles of the first round, from poses that are best first.
+        """Return the particles of the first round, from poses best first.
 
         Of more poses than can be followed, the best by a coarse rendering are, and the likeliest by
         their costs after some moves.
@@ -272,8 +272,8 @@ class Refinement:
 
     def _restarted(self, particles: Particles) -> Particles:
         """Return the particles that started around the best distinct places."""
-        standing = self.poses(particles)
-        best = standing.suppress_non_maxima(self.effort.restarts, MOVES.separation_m, SAME_VIEW_DEG)
+        poses = self.poses(particles)
+        best = poses.suppress_non_maxima(self.effort.restarts, MOVES.separation_m, SAME_VIEW_DEG)
         around = self.around(particles[best])
         for _ in range(MOVES.restart_rounds - 1):
             around = self.moved(self.follow, around.best(len(around)))
@@ -335,8 +335,7 @@ class Refinement:
 
         The rivals of the best one are among them.
         """
-        standing = self.poses(particles)
-        return particles[best_and_rivals(standing, count, SAME_VIEW_DEG)]
+        return particles[best_and_rivals(self.poses(particles), count, SAME_VIEW_DEG)]
 
     def poses(self, particles: Particles) -> Poses:
         """Return the poses of particles."""
@@ -420,18 +419,16 @@ def spread_m2(poses: Poses, covariance_m2: Float64Array) -> Float64Array:
     return np.asarray((share[..., np.newaxis, np.newaxis] * squares).sum(axis=1))
 
 
-def best_and_rivals(standing: Poses, count: int, turn_deg: float = 360.0) -> IntArray:
+def best_and_rivals(poses: Poses, count: int, turn_deg: float = 360.0) -> IntArray:
     """Return the indices of the best distinct poses, best first.
 
     The rivals of the best pose are among them.
     """
-    chosen = standing.suppress_non_maxima(count, MOVES.separation_m, turn_deg)
-    apart_m = standing.distances_m()[chosen[:1]]
+    chosen = poses.suppress_non_maxima(count, MOVES.separation_m, turn_deg)
+    apart_m = poses.distances_m()[chosen[:1]]
     for least_m in DISTANCES_M:
         others = np.flatnonzero((apart_m > least_m).any(axis=0))
         if len(others):
-            rivals = standing[others].suppress_non_maxima(
-                MOVES.rivals, MOVES.separation_m, turn_deg
-            )
+            rivals = poses[others].suppress_non_maxima(MOVES.rivals, MOVES.separation_m, turn_deg)
             chosen = np.union1d(chosen, others[rivals])
-    return chosen[np.argsort(standing.cost[chosen], kind="stable")]
+    return chosen[np.argsort(poses.cost[chosen], kind="stable")]

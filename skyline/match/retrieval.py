@@ -60,8 +60,7 @@ class RetrievalEffort:
     last_least: int = 16_384
     """Least number of these places."""
     last_most: int = 65_536
-    """Greatest number of these places. Among six million places, none of 29 queries came into a
-    short list from a rank beyond 13,198."""
+    """Greatest number of these places."""
     turns: int = 3
     """Best turns of a place that screening passes on. Screening finds the right place more often
     than the right turn, since it knows neither the pitch nor where the eye stands."""
@@ -87,7 +86,7 @@ class RetrievalEffort:
     """Step of the headings from which poses are fitted at a known place."""
 
     def last_places(self, places: int) -> int:
-        """Return the number of places of the last short list, of all places."""
+        """Return the places of the last short list, of so many places."""
         share = math.ceil(self.last_share * places)
         return min(max(share, self.last_least), self.last_most)
 
@@ -298,7 +297,7 @@ class Retriever:
             row=alike.row[place],
             score=alike.score[place],
             grid_heading_rad=np.radians(found.grid_heading_deg.ravel()[best]),
-            log_scale=log_scales[found.fov.ravel()[best]],
+            log_scale=log_scales[found.fov_index.ravel()[best]],
         )
 
     def _beside(self, rays: Rays, starts: Starts, fitted: Poses) -> Starts:

@@ -58,9 +58,8 @@ _APART_TURNS = 6
 _FLAT_DEG = 0.35
 """A skyline is flat if its rises over 2 degrees deviate by less than this."""
 _FLAT_GAIN = 2
-"""Gain at which the rises of flat skylines are compared. Of 63 made queries with such skylines, as
-many come among the best 65,536 of 2.6 million places as at the gain of 1. At 3 fewer do, and so do
-less flat ones at 2: a camera's roll grows with the gain."""
+"""Gain at which the rises of flat skylines are compared. A greater gain, or one for less flat
+skylines, does harm, since a camera's roll grows with it."""
 _SLACK = 4
 """Multiple of the wanted number of places that is kept before the worst are dropped."""
 _BLOCKS_AT_ONCE = 16
@@ -129,7 +128,7 @@ class Turns(Rows):
 
     grid_heading_deg: Float64Array
     """(N, C) float64. Of the optical axis, from grid north."""
-    fov: IntArray
+    fov_index: IntArray
     """(N, C) intp. Index into the screen's fields of view."""
     score: Float32Array
     """(N, C) float32. Score of the turn; -inf where no open turn is left."""
@@ -249,8 +248,8 @@ class Screen:
             turn[:, k] = np.where(peak[:, k] > -np.inf, best, turn[:, 0])
             left[row[:, np.newaxis], (turn[:, [k]] + near) % PHASE_BINS] = -np.inf
         # Only at these turns: an argmax of all takes as long as the product of matrices.
-        fov = np.take_along_axis(score, turn[:, np.newaxis], axis=2).argmax(axis=1)
-        return Turns(grid_heading_deg=turn_grid_heading_deg(turn), fov=fov, score=peak)
+        fov_index = np.take_along_axis(score, turn[:, np.newaxis], axis=2).argmax(axis=1)
+        return Turns(grid_heading_deg=turn_grid_heading_deg(turn), fov_index=fov_index, score=peak)
 
     def _every_turn(self, phase: UInt8Array) -> Float32Array:
         """Return the sums (N, F, B) at every turn."""
@@ -274,7 +273,7 @@ class Screen:
 
 
 def _at_odd_turns(phase: UInt8Array) -> UInt8Array:
-    """Return phases (N, B), turned by one bin at half of the places.
+    """Return phases (N, B), turned by a bin at half the places.
 
     The places are as if drawn by lot: the parity of a place's own phases decides.
     """
@@ -336,7 +335,7 @@ def waves_of(rays: Rays, gain: int = 1) -> Complex128Array:
 
 
 def _rises(rays: Rays) -> tuple[Float64Array, Float64Array]:
-    """Return the rises (B,) of level rays from bin to bin, and the trust.
+    """Return the rises (B,) of level rays by bin, and the trust.
 
     Unknown rises are NaN.
     """

@@ -41,8 +41,7 @@ class _Limits:
     """Fields of view less likely than this many standard deviations are called unexpected."""
     least_of_fit: float = 0.7
     """Least share of right poses among those that fit like a given one. The share is learned from
-    the best poses of searches; a pose that a person gives is right more often. On terrain left out,
-    three in four are right above 0.7, and no more above 0.8: a fit alone cannot tell more."""
+    the best poses of searches; a pose that a person gives is right more often."""
 
 
 _LIMITS = _Limits()

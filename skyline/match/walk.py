@@ -13,13 +13,15 @@ a has what the earlier photos tell, and b what the later ones tell (the forward 
 messages of a hidden Markov model); each is 1 if there is no such photo.
 """
 
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from datetime import datetime
+from datetime import datetime, timedelta
+from itertools import pairwise
 
 import numpy as np
 
-from skyline.arrays import Float64Array
+from skyline.arrays import Float64Array, refuse_text
 from skyline.errors import InputError
 from skyline.match.posterior import Posterior, on_finer_cells
 
@@ -48,6 +50,40 @@ def check_times(times: Sequence[datetime]) -> None:
             "some photos' times have a zone, and some have none; give all alike, in a list with a "
             "column `time` beside `path`"
         )
+
+
+def check_walk(photos: int, times: Sequence[datetime], walked_km_h: float) -> None:
+    """Raise `InputError` unless photos have times, and a speed above 0."""
+    refuse_text(walked_km_h=walked_km_h)
+    if not photos or len(times) != photos or not 0.0 < walked_km_h < math.inf:
+        raise InputError(
+            f"{photos} photos, {len(times)} times and {walked_km_h} km/h; expected a "
+            "photo or more, a time for each, and a speed above 0"
+        )
+    check_times(times)
+
+
+def of_walk(
+    posteriors: Sequence[Posterior], times: Sequence[datetime], walked_km_h: float
+) -> list[Posterior]:
+    """Return the posteriors of a walk's photos, in the photos' order.
+
+    Raises as `joined`.
+
+    Parameters
+    ----------
+    posteriors : sequence of Posterior
+        The posteriors of the single photos, in any order, on one grid.
+    times : sequence of datetime
+        When each photo was taken.
+    walked_km_h : float
+        Greatest speed, kilometres per hour, as the crow flies.
+    """
+    order = sorted(range(len(times)), key=lambda number: times[number])
+    hours = [(times[b] - times[a]) / timedelta(hours=1) for a, b in pairwise(order)]
+    reach_m = [1000.0 * walked_km_h * one for one in hours]
+    together = joined([posteriors[number] for number in order], reach_m)
+    return [together[order.index(number)] for number in range(len(order))]
 
 
 def joined(posteriors: Sequence[Posterior], reach_m: Sequence[float]) -> list[Posterior]:

@@ -87,11 +87,11 @@ def test_the_best_turn_has_the_field_of_view_that_fits_there(places):
     each = [screen.best_turns(places.phase, 1) for screen in alone]
     scores = np.hstack([one.score for one in each])
     found = Screen(seen, FOVS_DEG, places).best_turns(places.phase, 1)
-    np.testing.assert_array_equal(found.fov[:, 0], scores.argmax(axis=1))
+    np.testing.assert_array_equal(found.fov_index[:, 0], scores.argmax(axis=1))
     # float32 of scores that reach a hundred.
     np.testing.assert_allclose(found.score[:, 0], scores.max(axis=1), atol=1e-4)
     of_fov = np.hstack([one.grid_heading_deg for one in each])
-    expected = np.take_along_axis(of_fov, found.fov, axis=1)
+    expected = np.take_along_axis(of_fov, found.fov_index, axis=1)
     np.testing.assert_array_equal(found.grid_heading_deg, expected)
 
 
