@@ -47,7 +47,7 @@ class Linearization:
     rise_rad: Float64Array | None
     """(M, R) float64. How far things may rise above the terrain's skyline; None without a surface
     model."""
-    place_m: Complex128Array
+    position_m: Complex128Array
     """(M,) complex128. Places of the states' eyes; see `Curves`."""
     eye_m: Float64Array
     """(M,) float64. Elevations of the states' eyes over level ground around the curve's eye."""
@@ -62,7 +62,7 @@ class Curves(Rows):
     channels: Float64Array
     """(M, B, 6 or 7) float64. The channels `_TANGENT` to `_RISE`, without the last if there is no
     surface model, at azimuth 360 b / B degrees. NaN where unknown."""
-    place_m: Complex128Array
+    position_m: Complex128Array
     """(M,) complex128. Eastings of the eyes, and northings as the imaginary part."""
     ground_m: Float64Array
     """(M,) float64. Elevation of the ground there."""
@@ -74,7 +74,7 @@ class Curves(Rows):
         cls,
         y: Float64Array,
         distance_m: Float64Array,
-        place_m: Complex128Array,
+        position_m: Complex128Array,
         ground_m: Float64Array,
         ground_slope: Float64Array,
         eye_height_m: Float64Array,
@@ -94,7 +94,7 @@ class Curves(Rows):
         channels = [y, slope, east, north, -1.0 / distance_m, distance_m]
         if surface_y is not None:
             channels.append(np.maximum(surface_y - y, 0.0))
-        return cls(np.stack(channels, axis=-1), place_m, ground_m, eye_height_m)
+        return cls(np.stack(channels, axis=-1), position_m, ground_m, eye_height_m)
 
     def at(self, azimuth_rad: Float64Array) -> Float64Array:
         """Return the channels (M, R, 6 or 7) at azimuths (M, R).
@@ -140,7 +140,7 @@ class Curves(Rows):
             azimuth_rad=azimuth,
             distance_m=skyline[..., _DISTANCE],
             rise_rad=skyline[..., _RISE] * to_angle if has_surface else None,
-            place_m=self.place_m + state[:, EAST] + 1j * state[:, NORTH],
+            position_m=self.position_m + state[:, EAST] + 1j * state[:, NORTH],
             eye_m=self.ground_m + state[:, EYE_HEIGHT],
             elevation_tan=y,
         )

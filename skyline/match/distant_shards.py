@@ -121,9 +121,9 @@ class DistantShard:
         turns: Turns = self._ask("best_turns", screen, rows, count)
         return turns
 
-    def nearest(self, place_m: Float64Array, count: int) -> Neighbours:
+    def nearest(self, position_m: Float64Array, count: int) -> Neighbours:
         """See `Shard.nearest`."""
-        found: Neighbours = self._ask("nearest", place_m, count)
+        found: Neighbours = self._ask("nearest", position_m, count)
         return found
 
     def fitted(

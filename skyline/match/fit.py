@@ -46,8 +46,8 @@ class FitErrors:
     """Error of the tangent over (t / D)^2, for an eye at t from its place and terrain at D."""
     pitch_sd_deg: float = 5.0
     roll_sd_deg: float = 4.0
-    """Standard deviations from a level camera. Refinement takes 6 and 3 degrees
-    (`skyline.pose.pose_errors.AssumedErrors`)."""
+    """Standard deviations from a level camera. Refinement takes other ones
+    (`skyline.pose.pose_errors.AssumedErrors`), with which fits do worse."""
     most: float = 8.0
     """Greater misses of a ray count as this, in expected errors: in coarse elevation models, rays
     of the right pose miss by several."""

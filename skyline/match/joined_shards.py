@@ -109,12 +109,12 @@ class JoinedShards:
 
     def nearest(self, poses: Poses, count: int) -> Neighbours:
         """Return the ``count`` places of each pose's area nearest to it."""
-        place_m = np.stack([poses.easting_m, poses.northing_m], axis=1)
+        position_m = np.stack([poses.easting_m, poses.northing_m], axis=1)
         row = np.zeros((len(poses), count), dtype=np.intp)
         distance_m = np.full(row.shape, np.inf)
 
         def nearest(number: int, mine: IntArray) -> Neighbours:
-            found = self._shards[number].nearest(place_m[mine], count)
+            found = self._shards[number].nearest(position_m[mine], count)
             return replace(found, row=found.row + self._first_row[number])
 
         areas = poses.areas()

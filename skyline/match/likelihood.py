@@ -269,9 +269,9 @@ def _factor_at_nodes(
     node = np.unique(np.rint(np.linspace(0, column[-1], nodes)).astype(np.intp))
     # Weights (R, K) of linear interpolation.
     between = np.stack([np.interp(column, node, unit) for unit in np.eye(len(node))], axis=1)
-    place_m = (distance_m * np.exp(1j * azimuth_rad))[:, node]
-    to_eye = 0.5 - height_correlation(np.abs(place_m))
-    apart_m = np.abs(place_m[:, :, np.newaxis] - place_m[:, np.newaxis, :])
+    point_m = (distance_m * np.exp(1j * azimuth_rad))[:, node]
+    to_eye = 0.5 - height_correlation(np.abs(point_m))
+    apart_m = np.abs(point_m[:, :, np.newaxis] - point_m[:, np.newaxis, :])
     covariance = height_correlation(apart_m)
     covariance += to_eye[:, :, np.newaxis] + to_eye[:, np.newaxis, :]
     root = np.linalg.cholesky(covariance + 1e-6 * np.eye(len(node)))

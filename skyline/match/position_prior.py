@@ -32,7 +32,7 @@ class _Wrong:
     """Assumptions about positions and headings that are wrong altogether."""
 
     share: float = 0.05
-    """w, the share of wrong positions: a guess."""
+    """w, the share of wrong positions: an assumption."""
     anywhere_m2: float = 1e9
     """A, a circle of 18 km: the area of a search without a noted position."""
     compass_share: float = 0.2
@@ -92,14 +92,14 @@ class PositionPrior:
         )
 
     def cost(
-        self, place_m: Complex128Array, eye_m: Float64Array, heading_rad: Float64Array
+        self, position_m: Complex128Array, eye_m: Float64Array, heading_rad: Float64Array
     ) -> Float64Array:
         """Return the negative log (M,) of poses' density over an even one's.
 
-        ``place_m`` holds eastings, and northings as the imaginary part; headings are grid
+        ``position_m`` holds eastings, and northings as the imaginary part; headings are grid
         azimuths of the optical axis.
         """
-        cost = -np.log(_WRONG.share + self._peak * self._tail(place_m) ** -1.5)
+        cost = -np.log(_WRONG.share + self._peak * self._tail(position_m) ** -1.5)
         if self.grid_heading_deg is not None:
             turn = np.degrees(heading_rad) - self.grid_heading_deg
             off = wrapped_deg(turn) / self.heading_sd_deg
@@ -112,7 +112,7 @@ class PositionPrior:
         return np.asarray(cost)
 
     def pull(
-        self, place_m: Complex128Array, eye_m: Float64Array
+        self, position_m: Complex128Array, eye_m: Float64Array
     ) -> tuple[Float64Array, Float64Array]:
         """Return the normal distribution that pulls eyes like this density.
 
@@ -120,10 +120,10 @@ class PositionPrior:
         (M, 3) of the eyes from the noted place, metres; precision times offset is the gradient of
         `cost`.
         """
-        tail = self._tail(place_m)
+        tail = self._tail(position_m)
         pull = 3.0 * self._peak * tail**-2.5 / self.scale_m**2
         across = pull / (_WRONG.share + self._peak * tail**-1.5)
-        off = place_m - complex(self.easting_m, self.northing_m)
+        off = position_m - complex(self.easting_m, self.northing_m)
         offset_m = np.column_stack([off.real, off.imag, np.zeros_like(eye_m)])
         precision = np.stack([across, across, np.zeros_like(across)], axis=1)
         if self.elevation_m is not None:
@@ -136,6 +136,6 @@ class PositionPrior:
     def _peak(self) -> float:
         return (1.0 - _WRONG.share) * _WRONG.anywhere_m2 / (2.0 * np.pi * self.scale_m**2)
 
-    def _tail(self, place_m: Complex128Array) -> Float64Array:
-        off = place_m - complex(self.easting_m, self.northing_m)
+    def _tail(self, position_m: Complex128Array) -> Float64Array:
+        off = position_m - complex(self.easting_m, self.northing_m)
         return np.asarray(1.0 + (off.real**2 + off.imag**2) / self.scale_m**2)

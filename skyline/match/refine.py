@@ -230,7 +230,7 @@ class Refinement:
         fit = solver.start(poses)
         if self._first_eye_height_m is not None:
             fit = solver.at_height(fit, np.full(len(poses), self._first_eye_height_m))
-        return self.arrived(solver, poses.place_m, fit)
+        return self.arrived(solver, poses.position_m, fit)
 
     def reweighted(self, particles: Particles) -> Particles:
         """Return particles fitted with correlated errors, until the chosen errors have settled."""
@@ -254,7 +254,7 @@ class Refinement:
         """
         length_m = np.maximum(np.hypot(step[:, 0], step[:, 1]), 1e-9)
         east_m, north_m = step[:, :2].T * np.minimum(1.0, 2.0 * particles.step_m / length_m)
-        return self.arrived(solver, particles.curves.place_m + (east_m + 1j * north_m), fit)
+        return self.arrived(solver, particles.curves.position_m + (east_m + 1j * north_m), fit)
 
     def around(self, particles: Particles) -> Particles:
         """Return particles that start from rings around each place."""
@@ -267,8 +267,8 @@ class Refinement:
             ]
         )
         near = particles[np.repeat(np.arange(len(particles)), len(rings))]
-        place_m = near.curves.place_m + np.tile(rings, len(particles))
-        return self.arrived(self.rough, place_m, near.fit)
+        position_m = near.curves.position_m + np.tile(rings, len(particles))
+        return self.arrived(self.rough, position_m, near.fit)
 
     def _restarted(self, particles: Particles) -> Particles:
         """Return the particles that started around the best distinct places."""
@@ -279,7 +279,7 @@ class Refinement:
             around = self.moved(self.follow, around.best(len(around)))
         return around
 
-    def arrived(self, solver: Solver, place_m: Complex128Array, fit: Fit) -> Particles:
+    def arrived(self, solver: Solver, position_m: Complex128Array, fit: Fit) -> Particles:
         """Return particles at places, with attitudes solved there.
 
         Particles off the map have no fit.
@@ -287,17 +287,17 @@ class Refinement:
         state = fit.state.copy()
         state[:, :EYE_HEIGHT] = 0.0
         fit = replace(fit, state=state)
-        curves = self._seen(solver, place_m, state)
+        curves = self._seen(solver, position_m, state)
         is_new = bool(np.isinf(fit.cost).all())
         still = np.zeros(len(state))
         fit = solver.settle(curves, fit) if is_new else solver.improve(curves, fit, still)
         return Particles(curves, fit, np.full(len(state), MOVES.first_step_m))
 
-    def _seen(self, solver: Solver, place_m: Complex128Array, state: Float64Array) -> Curves:
+    def _seen(self, solver: Solver, position_m: Complex128Array, state: Float64Array) -> Curves:
         """Render the photo's directions from M eyes at their states' heights."""
         self._report(Step.REFINING, min(1.0, self._rendered / self._to_render))
         self._rendered += 1
-        easting_m, northing_m = place_m.real, place_m.imag
+        easting_m, northing_m = position_m.real, position_m.imag
         ground_m = self._scene.ground_m(easting_m, northing_m)
         height_m = state[:, EYE_HEIGHT]
         heading_deg = np.degrees(state[:, HEADING])[:, np.newaxis]
@@ -311,20 +311,20 @@ class Refinement:
             eye_elevation_m=ground_m[row] + height_m[row],
         )
         (y, distance_m), *surface = (
-            joined_views(views, row, len(place_m), solver.mode.bins)
+            joined_views(views, row, len(position_m), solver.mode.bins)
             for views in self._scene.render(eyes, heading)
         )
         surface_y = surface[0][0] if surface else None
         slope = ground_slope(self._scene.ground_m, easting_m, northing_m)
         # An eye off the map fits nowhere, whatever its ground is.
         ground_m = np.nan_to_num(ground_m)
-        return Curves.of(y, distance_m, place_m, ground_m, slope, height_m, surface_y)
+        return Curves.of(y, distance_m, position_m, ground_m, slope, height_m, surface_y)
 
     def survivors(self, particles: Particles, count: int) -> Particles:
         """Return the best particles, and the rivals of the best one."""
         ordered = particles.best(len(particles))
         chosen = np.arange(min(count, len(ordered)))
-        place = ordered.curves.place_m
+        place = ordered.curves.position_m
         for least_m in DISTANCES_M:
             rivals = np.flatnonzero(np.abs(place - place[:1]) > least_m)
             chosen = np.union1d(chosen, rivals[: MOVES.rivals])

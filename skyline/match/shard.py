@@ -99,7 +99,7 @@ class Shard(Protocol):
     def best_turns(self, screen: Screen, rows: IntArray, count: int) -> Turns:
         """Return the best turns of places (M,)."""
 
-    def nearest(self, place_m: Float64Array, count: int) -> Neighbours:
+    def nearest(self, position_m: Float64Array, count: int) -> Neighbours:
         """Return the ``count`` places nearest to eastings and northings (M, 2)."""
 
     def fitted(
@@ -177,13 +177,13 @@ class LocalShard:
         from scipy.spatial import cKDTree  # noqa: PLC0415  (slow to load, seldom needed)
 
         columns = [np.stack([one.easting_m, one.northing_m], 1) for one in self._places.blocks()]
-        place_m = np.concatenate([np.zeros((0, 2)), *columns])
+        position_m = np.concatenate([np.zeros((0, 2)), *columns])
         # A tree that is balanced or compact saves less time than it takes to make.
-        return cKDTree(place_m, balanced_tree=False, compact_nodes=False)
+        return cKDTree(position_m, balanced_tree=False, compact_nodes=False)
 
-    def nearest(self, place_m: Float64Array, count: int) -> Neighbours:
+    def nearest(self, position_m: Float64Array, count: int) -> Neighbours:
         """See `Shard.nearest`."""
-        distance_m, row = self._tree.query(place_m, k=range(1, count + 1))
+        distance_m, row = self._tree.query(position_m, k=range(1, count + 1))
         return Neighbours(row=np.asarray(row), distance_m=np.asarray(distance_m))
 
     def fitted(

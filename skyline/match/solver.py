@@ -234,8 +234,8 @@ class Solver:
         else:
             distortion = fit.state[:, WARP:].sum(axis=1)
         return Poses(
-            easting_m=curves.place_m.real,
-            northing_m=curves.place_m.imag,
+            easting_m=curves.position_m.real,
+            northing_m=curves.position_m.imag,
             eye_elevation_m=curves.ground_m + fit.state[:, EYE_HEIGHT],
             grid_heading_deg=np.degrees(fit.state[:, HEADING]) % 360.0,
             pitch_deg=np.degrees(fit.state[:, PITCH]),
@@ -324,8 +324,8 @@ class Solver:
         """
         if self._edge is None:
             return np.zeros_like(linear.residual_rad)
-        place_m, eye_m = linear.place_m[:, np.newaxis], linear.eye_m[:, np.newaxis]
-        most = self._edge.elevation_tan(place_m.real, place_m.imag, eye_m, linear.azimuth_rad)
+        position_m, eye_m = linear.position_m[:, np.newaxis], linear.eye_m[:, np.newaxis]
+        most = self._edge.elevation_tan(position_m.real, position_m.imag, eye_m, linear.azimuth_rad)
         return np.asarray(np.nan_to_num(np.arctan(most) - np.arctan(linear.elevation_tan)))
 
     def _errors(self, linear: Linearization, curves: Curves) -> HeightErrors:
@@ -379,7 +379,9 @@ class Solver:
         cost += _PRIORS.terrain_weight * self._eye.cost(state[:, EYE_HEIGHT])
         cost += cost_of_share(open_columns, TEMPERATURE)
         if self._noted is not None:
-            cost += TEMPERATURE * self._noted.cost(linear.place_m, linear.eye_m, state[:, HEADING])
+            cost += TEMPERATURE * self._noted.cost(
+                linear.position_m, linear.eye_m, state[:, HEADING]
+            )
         return np.asarray(cost)
 
     def _with_deviations(
@@ -460,7 +462,7 @@ class Solver:
         """Add the pull to EXIF's place to normal equations, in place."""
         if self._noted is None:
             return
-        precision, offset_m = self._noted.pull(linear.place_m, linear.eye_m)
+        precision, offset_m = self._noted.pull(linear.position_m, linear.eye_m)
         precision *= TEMPERATURE
         gradient[:, MOVE] += precision * offset_m
         for axis in (EAST, NORTH, EYE_HEIGHT):

@@ -84,8 +84,8 @@ class JointRefinement:
             kept = max(_SEARCH.kept_least, int(_SEARCH.kept_share * len(particles[0])))
             particles = self._moved(self._kept(particles, kept))
         particles = self._kept(_joined(particles, self._restarted(particles)), effort.finalists)
-        own_m = [poses.place_m for poses in alone]
-        best_m = np.concatenate([particles[0].curves.place_m[:1], *own_m])
+        own_m = [poses.position_m for poses in alone]
+        best_m = np.concatenate([particles[0].curves.position_m[:1], *own_m])
         particles = _joined(particles, [_at_best_headings(solo, best_m) for solo in self._solos])
         # The last rounds fit as the photos' own refinements did, so costs compare with theirs.
         self._solvers = [solo.fine for solo in self._solos]
@@ -172,24 +172,24 @@ class JointRefinement:
         return together, agrees
 
 
-def _at_best_headings(solo: Refinement, place_m: Complex128Array) -> Particles:
+def _at_best_headings(solo: Refinement, position_m: Complex128Array) -> Particles:
     """Return a photo's best particle over all headings, by place."""
     tried_deg = np.arange(0.0, 360.0, _SEARCH.heading_step_deg)
-    at_m = np.repeat(place_m, len(tried_deg))
+    at_m = np.repeat(position_m, len(tried_deg))
     none = np.zeros(len(at_m))
     every = Poses(
         easting_m=at_m.real,
         northing_m=at_m.imag,
         eye_elevation_m=none,
-        grid_heading_deg=np.tile(tried_deg, len(place_m)),
+        grid_heading_deg=np.tile(tried_deg, len(position_m)),
         pitch_deg=none,
         roll_deg=none,
         fov_deg=none + solo.scout.rays.fov_deg,
         cost=none,
     )
     seen = solo.started(solo.scout, every)
-    cost = seen.fit.cost.reshape(len(place_m), len(tried_deg))
-    best = seen[np.arange(len(place_m)) * len(tried_deg) + cost.argmin(axis=1)]
+    cost = seen.fit.cost.reshape(len(position_m), len(tried_deg))
+    best = seen[np.arange(len(position_m)) * len(tried_deg) + cost.argmin(axis=1)]
     return solo.started(solo.rough, solo.poses(best))
 
 

@@ -394,7 +394,7 @@ class Orienter(Closeable):
 
     def _moved_m(self, poses: Poses) -> Float64Array:
         """Return how far poses (M,) lie from the known place."""
-        return np.abs(poses.place_m - complex(self._east, self._north))
+        return np.abs(poses.position_m - complex(self._east, self._north))
 
     def _too_far(self, moved_m: float) -> str | None:
         """Return the refusal of a pose far from the place, or None."""

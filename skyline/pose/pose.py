@@ -422,7 +422,7 @@ class Poses(Rows):
         return self.fits
 
     @property
-    def place_m(self) -> Complex128Array:
+    def position_m(self) -> Complex128Array:
         """Eastings (M,) of the eyes, and northings as the imaginary part."""
         return self.easting_m + 1j * self.northing_m
 
@@ -488,7 +488,7 @@ class Poses(Rows):
         By default, these are the poses themselves. Both are of the same areas.
         """
         others = self if others is None else others
-        apart_m = np.asarray(np.abs(self.place_m[:, np.newaxis] - others.place_m))
+        apart_m = np.asarray(np.abs(self.position_m[:, np.newaxis] - others.position_m))
         if self.in_areas is None or others.in_areas is None:
             return apart_m
         mine, theirs = self.in_areas, others.in_areas

@@ -30,9 +30,9 @@ LONG = SolverMode(steps=8, choices=4, nodes=0)
 def curves_of(y, distance_m):
     """Return curves of eyes on level ground, at the usual height."""
     count = len(y)
-    place_m, ground_m = np.zeros(count, dtype=complex), np.zeros(count)
+    position_m, ground_m = np.zeros(count, dtype=complex), np.zeros(count)
     eye_height_m = np.full(count, EYE.usual_m)
-    return Curves.of(y, distance_m, place_m, ground_m, np.zeros((count, 2)), eye_height_m)
+    return Curves.of(y, distance_m, position_m, ground_m, np.zeros((count, 2)), eye_height_m)
 
 
 def settled(hypotheses, panoramas, rays, edge=None):
