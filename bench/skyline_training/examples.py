@@ -218,7 +218,7 @@ def _noted(
         if rng.random() < _NOTED_WRONG_SHARE:
             easting_m, northing_m = rng.uniform(west, east), rng.uniform(south, north)
         place = PositionPrior(float(easting_m), float(northing_m), NOTED_ERRORS.gps_scale_m)
-        pairs.append((query, Prior(noted=place)))
+        pairs.append((query, Prior(position=place)))
     return pairs
 
 

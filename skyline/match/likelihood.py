@@ -232,10 +232,10 @@ def likelihood(
         residual, trust * terrain_probability * known / variance, factor
     )
     spread = ((factor @ inner) * factor).sum(axis=-1)
-    left = _Left(residual - explained, spread, variance, scale)
-    mixture = _Mixture.of(residual).under_surface(left, errors)
-    mixture = mixture.past_edge(left, errors, trust * known)
-    half_squares = left.half_squares
+    rest = _Remainder(residual - explained, spread, variance, scale)
+    mixture = _Mixture.of(residual).under_surface(rest, errors)
+    mixture = mixture.past_edge(rest, errors, trust * known)
+    half_squares = rest.half_squares
     log_peak = np.log(mixture.bare) - 0.5 * np.log(2.0 * np.pi * variance / scale**2)
     log_terrain = log_peak - half_squares
     odds = np.exp(np.clip(log_terrain - mixture.log_other, -GREATEST_LOG_ODDS, GREATEST_LOG_ODDS))
@@ -279,7 +279,7 @@ def _factor_at_nodes(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Left:
+class _Remainder:
     """What height errors leave of residuals, and its errors."""
 
     off_rad: Float64Array
@@ -327,20 +327,20 @@ class _Mixture:
         bare = 1.0 - _MODEL.above_share - _MODEL.below_share
         return cls(bare, log_density_without_terrain(residual))
 
-    def under_surface(self, left: _Left, errors: HeightErrors) -> "_Mixture":
+    def under_surface(self, rest: _Remainder, errors: HeightErrors) -> "_Mixture":
         """Return the mixture where a surface model bounds trees and houses."""
         has_surface = np.isfinite(errors.rise_rad)
         if not has_surface.any():
             return self
         uncovered = 1.0 - 2.0 * _MODEL.below_share
-        covered, density = left.raised(errors.rise_rad, uncovered)
-        density = left.scale * density + _DENSITY_BELOW
+        covered, density = rest.raised(errors.rise_rad, uncovered)
+        density = rest.scale * density + _DENSITY_BELOW
         return _Mixture(
             np.where(has_surface, uncovered - covered, self.bare),
             np.where(has_surface, np.log(density), self.log_other),
         )
 
-    def past_edge(self, left: _Left, errors: HeightErrors, trust: Float64Array) -> "_Mixture":
+    def past_edge(self, rest: _Remainder, errors: HeightErrors, trust: Float64Array) -> "_Mixture":
         """Return the mixture where terrain past the data's edge may rise, too.
 
         It hides what the model shows in a share of the columns where it may rise. ``trust`` (M, R)
@@ -349,11 +349,11 @@ class _Mixture:
         may_rise = errors.may_rise
         if not may_rise.any():
             return self
-        hidden, density = left.raised(errors.beyond_rad, 1.0)
-        density = left.scale * density
-        peak = self.bare * left.scale / np.sqrt(2.0 * np.pi * left.variance)
+        hidden, density = rest.raised(errors.beyond_rad, 1.0)
+        density = rest.scale * density
+        peak = self.bare * rest.scale / np.sqrt(2.0 * np.pi * rest.variance)
         other = np.exp(self.log_other)
-        seen = peak * np.exp(-left.half_squares) + other
+        seen = peak * np.exp(-rest.half_squares) + other
         share = _beyond_share(trust * may_rise, hidden, density, seen)
         either = other * (1.0 - share * hidden) + share * density
         return _Mixture(

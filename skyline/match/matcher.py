@@ -461,8 +461,8 @@ class Matcher(Closeable):
         photos, candidates = _searched(result)
         known = [self._rays_and_prior(skyline, narrowing) for skyline, narrowing in photos]
         fitted, places = self._method.likely_places(known, report_progress)
-        noted = next((prior.noted for _, prior in known if prior.noted is not None), None)
-        return Findings(candidates, fitted, places, noted)
+        positions = (prior.position for _, prior in known if prior.position is not None)
+        return Findings(candidates, fitted, places, next(positions, None))
 
     def _read(
         self,
@@ -593,8 +593,8 @@ class Matcher(Closeable):
             return rays, NOTHING_KNOWN
         if narrowing.eye_height_m is None:
             narrowing = replace(narrowing, eye_height_m=skyline.eye_height_m)
-        exif = skyline.noted if narrowing.use_gps else None
-        return rays, Prior.of(narrowing, self.areas[0].frame, exif)
+        noted = skyline.noted if narrowing.use_gps else None
+        return rays, Prior.of(narrowing, self.areas[0].frame, noted)
 
 
 def _searched(

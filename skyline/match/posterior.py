@@ -128,14 +128,14 @@ class Findings:
         Poses that fit without rendering.
     places : AlikePlaces
         The places that were searched, one or more.
-    noted : PositionPrior or None
+    position : PositionPrior or None
         The place that the photo notes. Candidates' confidences already allow for it.
     """
 
     candidates: Sequence[Pose]
     fitted: Poses
     places: AlikePlaces
-    noted: PositionPrior | None = None
+    position: PositionPrior | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -306,7 +306,7 @@ def posterior_of(found: Findings, frame: Frame, grid: CellGrid | None = None) ->
     ``frame`` is the frame of its places and poses. By default the grid is the one around the places
     and the candidates.
     """
-    fitted, places, noted = found.fitted, found.places, found.noted
+    fitted, places, position = found.fitted, found.places, found.position
     shares = _shares_of(found.candidates)
     spots, left = shares.spots, shares.none_right
     layer = _Layer(grid or grid_around([found]))
@@ -318,11 +318,11 @@ def posterior_of(found: Findings, frame: Frame, grid: CellGrid | None = None) ->
         layer.add_round(best.easting_m, best.northing_m, wide_m, np.array([shares.roughly]))
     by_fits = SPREAD.fitted_share * left if len(fitted) else 0.0
     if by_fits:
-        gain = _log_prior(fitted, noted) - fitted.cost / SPREAD.temperature
+        gain = _log_prior(fitted, position) - fitted.cost / SPREAD.temperature
         share = by_fits * _softmax(gain)
         sd_m = np.full(len(fitted), SPREAD.around_m)
         layer.add_round(fitted.easting_m, fitted.northing_m, sd_m, share)
-    gain = _log_prior(places, noted) + SPREAD.score_weight * places.score
+    gain = _log_prior(places, position) + SPREAD.score_weight * places.score
     weight = _softmax(gain + 2.0 * np.log(places.half_m))
     sd_m = np.hypot(SPREAD.around_m, places.half_m)
     layer.add_round(places.easting_m, places.northing_m, sd_m, (left - by_fits) * weight)
@@ -351,12 +351,12 @@ def _shares_of(candidates: Sequence[Pose]) -> _Shares:
     return _Shares(_Spots(place[:, 0], place[:, 1], covariance_m2, share), roughly, left)
 
 
-def _log_prior(at: Poses | AlikePlaces, noted: PositionPrior | None) -> Float64Array:
+def _log_prior(at: Poses | AlikePlaces, position: PositionPrior | None) -> Float64Array:
     """Return the log density (N,) of places by the noted place, unnormalized."""
     none = np.zeros(len(at))
-    if noted is None:
+    if position is None:
         return none
-    position_only = replace(noted, grid_heading_deg=None, elevation_m=None)
+    position_only = replace(position, grid_heading_deg=None, elevation_m=None)
     return -position_only.cost(at.easting_m + 1j * at.northing_m, none, none)
 
 

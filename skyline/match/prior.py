@@ -38,10 +38,10 @@ class Prior:
     """Circles around the narrowing's place and of the surroundings: easting, northing, radius."""
     rectangle_m: Rectangle | None = None
     """Rectangle that contains the narrowing's bounds."""
-    noted: PositionPrior | None = None
-    """Prior from the photo's EXIF."""
-    exif: NotedPlace | None = None
-    """The EXIF that ``noted`` is from."""
+    position: PositionPrior | None = None
+    """Prior of the position, from the photo's EXIF."""
+    noted: NotedPlace | None = None
+    """What the EXIF notes."""
     surroundings: Circle | None = None
     """The circle of the surroundings in degrees, if only these are searched."""
 
@@ -50,19 +50,19 @@ class Prior:
         cls,
         narrowing: Narrowing,
         frame: Frame,
-        exif: NotedPlace | None = None,
+        noted: NotedPlace | None = None,
         surroundings: Circle | None = None,
     ) -> "Prior":
         """Return a narrowing in a frame, with the prior from EXIF.
 
         Raises as `Frame.rectangle_m`.
         """
-        noted = None if exif is None else PositionPrior.of_noted(exif, frame)
+        position = None if noted is None else PositionPrior.of_noted(noted, frame)
         rectangle = None
         circles = (frame.circle_m(one) for one in (narrowing.near, surroundings) if one)
         if narrowing.bounds_deg is not None:
             rectangle = frame.rectangle_m(narrowing.bounds_deg)
-        return cls(narrowing, frame, tuple(circles), rectangle, noted, exif, surroundings)
+        return cls(narrowing, frame, tuple(circles), rectangle, position, noted, surroundings)
 
     def in_frames(self, frames: Sequence[Frame]) -> "list[Prior]":
         """Return this prior in each of several frames, its own first.
@@ -72,15 +72,15 @@ class Prior:
         if len(frames) < 2:
             return [self]
         others = (
-            Prior.of(self.narrowing, frame, self.exif, self.surroundings) for frame in frames[1:]
+            Prior.of(self.narrowing, frame, self.noted, self.surroundings) for frame in frames[1:]
         )
         priors = [self, *others]
-        noted = next((prior.noted for prior in priors if prior.noted is not None), None)
-        if noted is None:
+        position = next((prior.position for prior in priors if prior.position is not None), None)
+        if position is None:
             return priors
         # In a frame that does not reach the noted place, all places are far from it.
-        far = replace(noted, easting_m=_FAR_M, northing_m=_FAR_M, grid_heading_deg=None)
-        return [replace(prior, noted=prior.noted or far) for prior in priors]
+        far = replace(position, easting_m=_FAR_M, northing_m=_FAR_M, grid_heading_deg=None)
+        return [replace(prior, position=prior.position or far) for prior in priors]
 
     @property
     def open_turns(self) -> BoolArray | None:
@@ -139,10 +139,10 @@ class Prior:
 
     def near_noted(self) -> "Prior | None":
         """Return this prior narrowed to the noted place's surroundings, or None."""
-        if self.noted is None or self.frame is None:
+        if self.position is None or self.frame is None:
             return None
-        lon, lat = self.frame.to_lonlat(self.noted.easting_m, self.noted.northing_m)
-        reach_m = _REACH_M + _REACH_SCALES * self.noted.scale_m
+        lon, lat = self.frame.to_lonlat(self.position.easting_m, self.position.northing_m)
+        reach_m = _REACH_M + _REACH_SCALES * self.position.scale_m
         return self.around(self.frame, lon=float(lon), lat=float(lat), radius_km=1e-3 * reach_m)
 
     def swap_hint(self, places: Places) -> str:

@@ -88,7 +88,7 @@ MOVES = Moves()
 
 
 @dataclass(frozen=True, slots=True)
-class Effort:
+class RefinementEffort:
     """How many poses a refinement follows, and for how many rounds."""
 
     shortlist: int
@@ -113,12 +113,12 @@ class Effort:
     """Most renderings of each in the last rounds."""
 
 
-QUICK = Effort(
+QUICK = RefinementEffort(
     shortlist=64, particles=16, likeliest=0, rounds=4, keep_share=0.6, keep_least=6,
     restarts=1, weighed=48, finalists=6, final_rounds=3,
 )  # fmt: skip
 """The effort for most skylines, which fit one place far better than any other."""
-WHOLE = Effort(
+WHOLE = RefinementEffort(
     shortlist=800, particles=128, likeliest=12, rounds=8, keep_share=0.8, keep_least=32,
     restarts=6, weighed=48, finalists=12, final_rounds=5,
 )  # fmt: skip
@@ -160,7 +160,7 @@ class Refinement:
         self,
         rays: Rays,
         scene: RenderedScene,
-        effort: Effort,
+        effort: RefinementEffort,
         prior: Prior = NOTHING_KNOWN,
         eye: EyeHeightPrior | None = None,
         first_eye_height_m: float | None = None,
@@ -174,7 +174,7 @@ class Refinement:
         if prior.narrowing.eye_height_m is not None:
             eye = EyeHeightPrior(prior.narrowing.eye_height_m, 0.0)
         self.scout, self.rough, self.follow, self.fine = (
-            Solver(rays, mode, eye, scene.height_sd_m, prior.noted, scene.edge)
+            Solver(rays, mode, eye, scene.height_sd_m, prior.position, scene.edge)
             for mode in (SCOUT, ROUGH, FOLLOW, FINE)
         )
         self._rendered = 0

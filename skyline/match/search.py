@@ -18,7 +18,7 @@ from skyline.match.other_projection import OtherProjection, find_other_projectio
 from skyline.match.posterior import AlikePlaces
 from skyline.match.prior import Prior
 from skyline.match.rays import Rays
-from skyline.match.refine import QUICK, WHOLE, Effort, Refinement, best_of_several
+from skyline.match.refine import QUICK, WHOLE, Refinement, RefinementEffort, best_of_several
 from skyline.match.retrieval import NoPlaceError, Retriever
 from skyline.match.shard import LocalShard, Shard
 from skyline.match.together import JointRefinement
@@ -42,10 +42,10 @@ _EYES = 20_000
 class SearchEffort:
     """How many poses a search refines, and how thoroughly."""
 
-    quick: Effort = QUICK
-    """Effort for the first short list, and for the surroundings of answers."""
-    whole: Effort = WHOLE
-    """Effort for the last short list."""
+    quick: RefinementEffort = QUICK
+    """RefinementEffort for the first short list, and for the surroundings of answers."""
+    whole: RefinementEffort = WHOLE
+    """RefinementEffort for the last short list."""
     sure_margin: float = 75.0
     """A quick refinement is enough where its best pose leads all others by this margin."""
     least_shortlist: int = 400
@@ -151,8 +151,8 @@ class FullMatcher(SearchMethod):
         if poses is None:
             figures = confidence.retrieved_figures(retrieved, rays)
             chosen = retrieved.suppress_non_maxima(top, _SEPARATION_M)
-            near, roughly = confidence.probabilities(self.models, "retrieved", figures)
-            return replace(retrieved, confidence=near, confidence_1km=roughly)[chosen]
+            sure = confidence.probabilities(self.models, "retrieved", figures)
+            return _with_confidence(retrieved, sure)[chosen]
         if not len(poses):
             return poses
         # A pose that has moved out of the narrowing is no candidate.
@@ -162,8 +162,8 @@ class FullMatcher(SearchMethod):
         if not len(chosen):
             return poses[chosen]
         figures = confidence.refined_figures(narrowed, retrieved, rays)
-        near, roughly = confidence.shared_probabilities(self.models, narrowed, figures)
-        return replace(poses, confidence=near, confidence_1km=roughly)[chosen]
+        sure = confidence.shared_probabilities(self.models, narrowed, figures)
+        return _with_confidence(poses, sure)[chosen]
 
     @one_blas_thread()
     def found(self, rays: Rays, prior: Prior, report: StepProgress = silent) -> FoundPoses:
@@ -215,7 +215,7 @@ class FullMatcher(SearchMethod):
 
     def _refined(
         self,
-        effort: Effort,
+        effort: RefinementEffort,
         rays: Rays,
         prior: Prior,
         poses: Poses,
@@ -298,9 +298,8 @@ class FullMatcher(SearchMethod):
             return poses
         poses = poses[:1]
         figures = confidence.pose_figures(poses, rays)
-        near, roughly = confidence.probabilities(self.models, confidence.FITTED, figures)
-        poses = replace(poses, confidence=near, confidence_1km=roughly)
-        return self._found_in(start.area, poses)
+        sure = confidence.probabilities(self.models, confidence.FITTED, figures)
+        return self._found_in(start.area, _with_confidence(poses, sure))
 
     @one_blas_thread()
     def search_together(
@@ -337,9 +336,8 @@ class FullMatcher(SearchMethod):
             for poses, (rays, _), alone, belongs in zip(joint, photos, found, agrees, strict=True)
             if belongs and len(alone.retrieved)
         ]
-        near, roughly = self._joint_probabilities(places, figures)
-        sure = [replace(poses, confidence=near, confidence_1km=roughly) for poses in joint]
-        return [poses[chosen] for poses in sure], agrees
+        sure = self._joint_probabilities(places, figures)
+        return [_with_confidence(poses, sure)[chosen] for poses in joint], agrees
 
     def _joint_probabilities(
         self, places: Poses, figures: Sequence[Mapping[str, Float64Array]]
@@ -384,6 +382,12 @@ class FullMatcher(SearchMethod):
             return None
 
 
+def _with_confidence(poses: Poses, sure: tuple[Float64Array, Float64Array]) -> Poses:
+    """Return poses with probabilities (M,) of being right within 200 m and 1 km."""
+    near, roughly = sure
+    return replace(poses, confidence=near, confidence_1km=roughly)
+
+
 def _with_noted(found: Poses, near: Poses | None) -> Poses:
     """Return retrieved poses with those around the photo's noted place.
 
@@ -403,9 +407,9 @@ def _with_one_noted_place(
 
     Positions that one phone notes share their error, so they do not count as independent.
     """
-    noted = [prior.noted for _, prior in photos if prior.noted is not None]
-    best = min(noted, key=lambda place: place.scale_m, default=None)
+    positions = [prior.position for _, prior in photos if prior.position is not None]
+    best = min(positions, key=lambda position: position.scale_m, default=None)
     return [
-        (rays, prior if prior.noted is best else replace(prior, noted=None))
+        (rays, prior if prior.position is best else replace(prior, position=None))
         for rays, prior in photos
     ]

@@ -134,7 +134,7 @@ class Solver:
     """Fits the pose of one photo to curves.
 
     The rays are averaged within the mode's steps of azimuth. ``height_sd_m`` is the expected
-    standard deviation of the terrain model's heights, ``noted`` the prior from the photo's EXIF.
+    standard deviation of the terrain model's heights, ``position`` the prior from the photo's EXIF.
     Without ``edge`` no terrain is taken to lie past the data.
     """
 
@@ -144,13 +144,13 @@ class Solver:
         mode: SolverMode,
         eye: EyeHeightPrior,
         height_sd_m: float,
-        noted: PositionPrior | None = None,
+        position: PositionPrior | None = None,
         edge: DataEdge | None = None,
     ) -> None:
         self.rays = thinned(rays, mode.bins)
         self.mode = mode
         self._eye = eye
-        self._noted = noted
+        self._position = position
         self._edge = edge
         self.height_sds_m = HEIGHT_SHARES * height_sd_m
         """Standard deviations of the terrain model's heights that are tried."""
@@ -303,7 +303,7 @@ class Solver:
         """Return the covariance (M, P, P) of states, including the priors."""
         normal = found.product(linear.jacobian, linear.jacobian)
         normal += self._information_at(fit.state)
-        self._pull_to_noted(linear, normal, np.zeros(normal.shape[:2]))
+        self._pull_to_position(linear, normal, np.zeros(normal.shape[:2]))
         return np.asarray(np.linalg.inv(normal))
 
     def _information_at(self, state: Float64Array) -> Float64Array:
@@ -378,8 +378,8 @@ class Solver:
         cost += _PRIORS.lens_weight * self.rays.lens.cost(state[:, LOG_SCALE])
         cost += _PRIORS.terrain_weight * self._eye.cost(state[:, EYE_HEIGHT])
         cost += cost_of_share(open_columns, TEMPERATURE)
-        if self._noted is not None:
-            cost += TEMPERATURE * self._noted.cost(
+        if self._position is not None:
+            cost += TEMPERATURE * self._position.cost(
                 linear.position_m, linear.eye_m, state[:, HEADING]
             )
         return np.asarray(cost)
@@ -453,16 +453,16 @@ class Solver:
         normal += (precision + damping)[:, np.newaxis] * np.eye(self.size)
         gradient = found.product(linear.jacobian, miss)[..., 0] + precision * off
         gradient[:, LOG_SCALE] -= found.log_scale_pull(miss[:, 0])
-        self._pull_to_noted(linear, normal, gradient)
+        self._pull_to_position(linear, normal, gradient)
         return normal, gradient
 
-    def _pull_to_noted(
+    def _pull_to_position(
         self, linear: Linearization, normal: Float64Array, gradient: Float64Array
     ) -> None:
         """Add the pull to EXIF's place to normal equations, in place."""
-        if self._noted is None:
+        if self._position is None:
             return
-        precision, offset_m = self._noted.pull(linear.position_m, linear.eye_m)
+        precision, offset_m = self._position.pull(linear.position_m, linear.eye_m)
         precision *= TEMPERATURE
         gradient[:, MOVE] += precision * offset_m
         for axis in (EAST, NORTH, EYE_HEIGHT):

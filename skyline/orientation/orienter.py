@@ -37,7 +37,7 @@ from skyline.match.other_projection import find_other_projection
 from skyline.match.position_prior import PositionPrior
 from skyline.match.prior import Prior
 from skyline.match.rays import Rays
-from skyline.match.refine import VIEW_WIDTH, Effort, Particles, Refinement
+from skyline.match.refine import VIEW_WIDTH, Particles, Refinement, RefinementEffort
 from skyline.match.retrieval import Retriever
 from skyline.match.shard import LocalShard
 from skyline.match.solver import TEMPERATURE
@@ -102,7 +102,7 @@ class HeadingSearch:
 
 
 _SEARCH = HeadingSearch()
-_EFFORT = Effort(
+_EFFORT = RefinementEffort(
     shortlist=80, particles=80, likeliest=0, rounds=5, keep_share=0.6, keep_least=10,
     restarts=2, weighed=8, finalists=8, final_rounds=4,
 )  # fmt: skip
@@ -321,7 +321,7 @@ class Orienter(Closeable):
             elevation_scale_m=standing.elevation_scale_m,
         )
         # The photo need not note a position: the heading is turned at the known one.
-        return Prior(narrowing, self.frame, noted=known.looking_as(noted, self.frame))
+        return Prior(narrowing, self.frame, position=known.looking_as(noted, self.frame))
 
     def _refinement(self, rays: Rays, prior: Prior, standing: Standing) -> _RefinementByHeading:
         """Return the refinement of a photo's rays, with its prior."""

@@ -67,7 +67,7 @@ def test_a_prior_is_as_wide_in_every_frame():
         ((east, north, radius_m),) = prior.circles_m
         assert frame.to_lonlat(east, north) == pytest.approx((LON, LAT))
         assert radius_m == 2000.0
-        assert (prior.noted.easting_m, prior.noted.northing_m) == (east, north)
+        assert (prior.position.easting_m, prior.position.northing_m) == (east, north)
 
 
 def test_a_noted_place_off_a_map_costs_as_much_as_one_far_away():
@@ -75,8 +75,8 @@ def test_a_noted_place_off_a_map_costs_as_much_as_one_far_away():
     antipode = Frame.from_crs("+proj=gnom +lat_0=-46 +lon_0=-168 +datum=WGS84")
     here, away = Prior.of(Narrowing(), FRAMES[0], there).in_frames([FRAMES[0], antipode])
     east, north = FRAMES[0].from_lonlat(LON, LAT + 3.0)
-    far = here.noted.cost(np.array([east + 1j * north]), np.zeros(1), np.zeros(1))
-    off = away.noted.cost(np.zeros(1, dtype=complex), np.zeros(1), np.zeros(1))
+    far = here.position.cost(np.array([east + 1j * north]), np.zeros(1), np.zeros(1))
+    off = away.position.cost(np.zeros(1, dtype=complex), np.zeros(1), np.zeros(1))
     np.testing.assert_allclose(off, far, atol=0.01)
 
 
