@@ -54,10 +54,10 @@ class _Rules:
     measured.
     """
 
-    longer_px: int = 800
+    longer_side_px: int = 800
     """Longer side of the shades: a pixel of 0.07 degrees is 10 m at 8 km, about the height error of
     ridges there."""
-    columns: int = 2
+    profile_step_px: int = 2
     """Columns from one profile of the terrain to the next."""
     linked_px: float = 4.0
     """Greatest change of a ridge's row from profile to profile."""
@@ -65,7 +65,7 @@ class _Rules:
     """Greatest ratio of a ridge's distances from profile to profile."""
     least_points: int = 4
     """Least number of points of a ridge."""
-    smooth: float = 1.5
+    smooth_profiles: float = 1.5
     """Standard deviation, in profiles, over which a ridge is smoothed along itself."""
     piece_deg: tuple[float, float] = (1.2, 3.0)
     """Least and greatest length of a piece."""
@@ -74,7 +74,7 @@ class _Rules:
     skyline fits has the edges next to it, too."""
     pose_deg: float = 0.1
     """Error of a direction from a fitted pose."""
-    play: float = 1.5
+    play_errors: float = 1.5
     """Greatest distance of an edge from its piece, in expected errors."""
     most_play_px: int = 6
     """Ridges close to the eye need more, and are left out: some edge always lies within it."""
@@ -200,7 +200,7 @@ def _factor(deviations: float | None) -> float:
 
 def _shades_of(picture: UInt8Array) -> UInt8Array:
     """Return a photo's grey values (h, w)."""
-    small = made_smaller(picture, _RULES.longer_px)
+    small = made_smaller(picture, _RULES.longer_side_px)
     return np.asarray(cv2.cvtColor(small, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
 
 
@@ -252,7 +252,7 @@ def _pieces_of(
     height, width = gradients.counts.shape
     scale = width / photo.width_px
     camera = pose.camera(photo)
-    columns_px = _in_photo(np.arange(0, width, _RULES.columns), scale)
+    columns_px = _in_photo(np.arange(0, width, _RULES.profile_step_px), scale)
     azimuth_deg, _ = camera.directions(columns_px, photo.height_px / 2.0)
     eye_m = pose.easting_m, pose.northing_m, pose.eye_elevation_m
     ridges = ridges_around(terrain, curvature, eye_m, np.radians(azimuth_deg))
@@ -260,7 +260,7 @@ def _pieces_of(
     column, row = (_in_shades(px, scale) for px in at_px)
     step_deg = float(np.median(np.abs(np.diff(azimuth_deg))))
     error_deg = np.hypot(_RULES.pose_deg, np.degrees(terrain.height_sd_m / ridges.distance_m))
-    play_px = np.ceil(_RULES.play * error_deg * _RULES.columns / step_deg)
+    play_px = np.ceil(_RULES.play_errors * error_deg * _RULES.profile_step_px / step_deg)
     points = _Points(ridges.azimuth, column, row, ridges.distance_m, play_px)
     points = points[
         (np.abs(column - (width - 1) / 2.0) < width / 2.0)
@@ -292,9 +292,13 @@ def _cut(points: _Points, step_deg: float) -> _Pieces:
 
 def _smooth(px: Float64Array) -> Float64Array:
     """Return rows or columns smoothed along a ridge."""
-    size = 2 * math.ceil(4.0 * _RULES.smooth) + 1
+    size = 2 * math.ceil(4.0 * _RULES.smooth_profiles) + 1
     smooth = cv2.GaussianBlur(
-        px[:, np.newaxis], (1, size), 0.0, sigmaY=_RULES.smooth, borderType=cv2.BORDER_REPLICATE
+        px[:, np.newaxis],
+        (1, size),
+        0.0,
+        sigmaY=_RULES.smooth_profiles,
+        borderType=cv2.BORDER_REPLICATE,
     )
     return np.asarray(smooth[:, 0])
 

@@ -48,10 +48,10 @@ class FitErrors:
     roll_sd_deg: float = 4.0
     """Standard deviations from a level camera. Refinement takes other ones
     (`skyline.pose.pose_errors.AssumedErrors`), with which fits do worse."""
-    most: float = 8.0
+    greatest_miss: float = 8.0
     """Greater misses of a ray count as this, in expected errors: in coarse elevation models, rays
     of the right pose miss by several."""
-    unknown: float = 4.0
+    unknown_miss: float = 4.0
     """Miss of a ray where no skyline is stored, in expected errors."""
 
 
@@ -260,8 +260,10 @@ class CurveFit:
     def _cost(self, state: Float32Array, misses: _Misses) -> Float32Array:
         """Return the costs (M,) of states; see `fit`."""
         error = self._photo_error(state)
-        off = np.minimum(np.abs(misses.tangent) / error[:, np.newaxis], np.float32(_ERRORS.most))
-        off = np.where(misses.known, off, np.float32(_ERRORS.unknown))
+        off = np.minimum(
+            np.abs(misses.tangent) / error[:, np.newaxis], np.float32(_ERRORS.greatest_miss)
+        )
+        off = np.where(misses.known, off, np.float32(_ERRORS.unknown_miss))
         unlikely = 0.5 * (np.square(state) * self._prior).sum(axis=1)
         unlikely = (unlikely + self._rays.lens.cost(state[:, _LOG_SCALE])) / self._effort.runs
         mean = (off * self._rays.weight.astype(np.float32)).mean(axis=1)

@@ -64,9 +64,9 @@ class JoinedShards:
         count: int,
         report: StepProgress = silent,
     ) -> Alike:
-        """Return the ``count`` best places by the sums of photos' scores, best first.
+        """Return the ``count`` best places by summed scores, best first.
 
-        The places lie within the narrowings of all priors.
+        The scores are of several photos, and the places lie within the narrowings of all priors.
         """
         by_area = [prior.in_frames(self.frames) for prior in priors]
         kept = Alike.joined([])

@@ -86,7 +86,7 @@ class RetrievalEffort:
     """Step of the headings from which poses are fitted at a known place."""
 
     def last_places(self, places: int) -> int:
-        """Return the places of the last short list, of so many places."""
+        """Return how many of all places make the last short list."""
         share = math.ceil(self.last_share * places)
         return min(max(share, self.last_least), self.last_most)
 

@@ -180,13 +180,13 @@ class FullMatcher(SearchMethod):
         if self._areas[0].scene is None:
             return FoundPoses(next(lists, retrieved), None)
         noted = self._near_noted(rays, prior, report)
-        some = _with_noted(retrieved, noted)
-        poses = self._refined(effort.quick, rays, prior, some, report)
+        starts = _with_noted(retrieved, noted)
+        poses = self._refined(effort.quick, rays, prior, starts, report)
         if len(poses) and poses.figures().margin[0] > effort.sure_margin:
             return FoundPoses(retrieved, poses)
         retrieved = next(lists, retrieved)
-        some = _with_noted(retrieved, noted)
-        poses = self._refined(effort.whole, rays, prior, some, report)
+        starts = _with_noted(retrieved, noted)
+        poses = self._refined(effort.whole, rays, prior, starts, report)
         if len(self._places) > effort.large_area:
             poses = self._with_surroundings(rays, prior, poses, report)
         return FoundPoses(retrieved, poses)

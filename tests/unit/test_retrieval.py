@@ -11,12 +11,11 @@ from hypothesis import strategies as st
 from place_scenes import AZIMUTH_DEG, curve, photo, places_of, rays
 from ray_scenes import equally_trusted, swept
 
-from skyline.errors import InputError
 from skyline.match.joined_shards import JoinedShards
 from skyline.match.lens_prior import LensPrior
 from skyline.match.narrowing import Narrowing
 from skyline.match.prior import NOTHING_KNOWN, Prior
-from skyline.match.retrieval import RetrievalEffort, Retriever
+from skyline.match.retrieval import NoPlaceError, RetrievalEffort, Retriever
 from skyline.match.shard import LocalShard
 
 TWO_PLACES = RetrievalEffort(
@@ -175,7 +174,7 @@ def test_a_known_place_is_fitted_from_every_heading(places):
 
 def test_a_search_of_no_place_is_refused(places):
     far_off = Prior(circles_m=((-900.0, 0.0, 99.0),))
-    with pytest.raises(InputError, match="no place of the store"):
+    with pytest.raises(NoPlaceError, match="no place of the store"):
         next(retriever_of(places).shortlists(rays(3, 77.0), 5, far_off))
 
 
