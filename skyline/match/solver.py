@@ -26,19 +26,19 @@ from skyline.pose.pose import Poses
 from skyline.pose.pose_errors import ASSUMED, EAST, HEADING, LOG_SCALE, NORTH, PITCH, ROLL, WARP
 from skyline.terrain.data_edge import DataEdge
 
-ANGLES_DEG = np.array([0.03, 0.05, 0.08, 0.12, 0.2, 0.3, 0.5, 0.8])
+_ANGLE_SDS_DEG = np.array([0.03, 0.05, 0.08, 0.12, 0.2, 0.3, 0.5, 0.8])
 """Standard deviations of the photo's error from which the likeliest is chosen."""
-HEIGHT_SHARES = np.array([1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0, 2.0])
+_HEIGHT_SHARES = np.array([1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0, 2.0])
 """Standard deviations of the terrain model's heights, as multiples of the expected one, from which
 the likeliest is chosen."""
 TEMPERATURE = 8.0
 """Differences of costs, divided by this, are log odds. Neighbouring columns share errors that are
 not modelled."""
-_WIDEST_ANGLE = len(ANGLES_DEG) - 1
-_WIDEST_HEIGHT = len(HEIGHT_SHARES) - 1
+_WIDEST_ANGLE = len(_ANGLE_SDS_DEG) - 1
+_WIDEST_HEIGHT = len(_HEIGHT_SHARES) - 1
 _NEIGHBOURS = ((-1, 0), (0, -1), (1, 0), (0, 1))
-"""Steps of the indices into `ANGLES_DEG` and `HEIGHT_SHARES` that are tried."""
-_AGREEMENT_RAD = np.radians(np.arange(-4.0, 4.01, 0.25))
+"""Steps of the indices into `_ANGLE_SDS_DEG` and `_HEIGHT_SHARES` that are tried."""
+_SHIFTS_RAD = np.radians(np.arange(-4.0, 4.01, 0.25))
 """Shifts of the whole curve that are tried."""
 _AGREEMENT_SD_RAD = np.radians(0.3)
 """Standard deviation of columns about a shift on which they agree."""
@@ -59,7 +59,7 @@ class SolverPriors:
     position_sd_m: float = 300.0
     """Standard deviation of a place: it bounds the covariance for a skyline without information."""
     log_height_sd: float = 0.7
-    """Standard deviation of the logarithm of `HEIGHT_SHARES`."""
+    """Standard deviation of the logarithm of `_HEIGHT_SHARES`."""
     terrain_weight: float = 4.0
     """Factor on the log priors of the eye's height and of the height errors. Neighbouring columns
     share errors that the likelihood takes for independent, so costs are too large, and priors
@@ -120,9 +120,9 @@ class Fit(Rows):
     state: Float64Array
     """(M, P) float64. See `EAST` to `WARP`; displacements are from the eye of the curve."""
     angle_index: IntArray
-    """(M,) intp. Chosen standard deviation of the photo's error, as an index into `ANGLES_DEG`."""
+    """(M,) intp. Index into `_ANGLE_SDS_DEG`: the chosen deviation of the photo's error."""
     height_index: IntArray
-    """(M,) intp. Chosen standard deviation of the heights, as an index into `HEIGHT_SHARES`."""
+    """(M,) intp. Index into `_HEIGHT_SHARES`: the chosen deviation of the heights."""
     cost: Float64Array
     """(M,) float64. Negative log of the likelihood and the priors, integrated over the attitude;
     infinite for a state that does not fit."""
@@ -152,14 +152,14 @@ class Solver:
         self._eye = eye
         self._position = position
         self._edge = edge
-        self.height_sds_m = HEIGHT_SHARES * height_sd_m
+        self.height_sds_m = _HEIGHT_SHARES * height_sd_m
         """Standard deviations of the terrain model's heights that are tried."""
         self.size = WARP + len(rays.warp_sd)
         """Unknowns P of a state."""
         self._low, self._high = self._bounds()
         self._precision = self._prior_precision()
         self._information = self._precision + self._widest_sd() ** -2.0
-        off = np.log(HEIGHT_SHARES) / _PRIORS.log_height_sd
+        off = np.log(_HEIGHT_SHARES) / _PRIORS.log_height_sd
         self._height_cost = _PRIORS.terrain_weight * 0.5 * off**2
 
     def _bounds(self) -> tuple[Float64Array, Float64Array]:
@@ -278,18 +278,18 @@ class Solver:
     def _agreed(self, curves: Curves, fit: Fit) -> Fit:
         """Return the fit with the pitch on which most columns agree."""
         linear = curves.linearized(self.rays, fit.state)
-        off = linear.residual_rad[..., np.newaxis] - _AGREEMENT_RAD
+        off = linear.residual_rad[..., np.newaxis] - _SHIFTS_RAD
         density = np.exp(-0.5 * (off / _AGREEMENT_SD_RAD) ** 2) / _AGREEMENT_SD_RAD
         log_density = np.log(density + density_without_terrain(off))
         agreement = np.tensordot(np.nan_to_num(log_density), self.rays.weight, axes=(1, 0))
         state = fit.state.copy()
-        state[:, PITCH] -= _AGREEMENT_RAD[np.argmax(agreement, axis=1)]
-        angle_index = int(np.searchsorted(np.radians(ANGLES_DEG), _AGREEMENT_SD_RAD))
+        state[:, PITCH] -= _SHIFTS_RAD[np.argmax(agreement, axis=1)]
+        angle_index = int(np.searchsorted(np.radians(_ANGLE_SDS_DEG), _AGREEMENT_SD_RAD))
         return replace(
             fit,
             state=state,
             angle_index=np.full_like(fit.angle_index, min(angle_index, _WIDEST_ANGLE)),
-            height_index=np.full_like(fit.height_index, len(HEIGHT_SHARES) // 2),
+            height_index=np.full_like(fit.height_index, len(_HEIGHT_SHARES) // 2),
             terrain_probability=np.ones_like(fit.terrain_probability),
         )
 
@@ -349,7 +349,7 @@ class Solver:
             linear.residual_rad,
             self.rays.weight,
             errors,
-            ANGLES_DEG[fit.angle_index],
+            _ANGLE_SDS_DEG[fit.angle_index],
             self.height_sds_m[fit.height_index],
             fit.terrain_probability,
             np.exp(fit.state[:, LOG_SCALE]),
