@@ -40,8 +40,8 @@ class CameraModel:
     the angle off the axis. An equidistant lens has 0, an equisolid one 1/24, a stereographic one
     -1/12."""
     wander_fov_deg: float = 240.0
-    """Field of view of a panorama whose factor of a polynomial of degree n has a standard deviation
-    of 1 / (n - 1) degrees. The deviations grow with the square root of the field of view."""
+    """A panorama that spans this wanders by 1 / (n - 1) degrees, one standard deviation, along the
+    polynomial of degree n. The deviations grow with the square root of the field of view."""
     searched_sds: float = 4.0
     """Standard deviations to either side of a given field of view that are searched."""
 

@@ -49,7 +49,7 @@ class SearchEffort:
     sure_margin: float = 75.0
     """A quick refinement is enough where its best pose leads all others by this margin."""
     least_shortlist: int = 400
-    """Least number of poses that retrieval returns; the greatest is that of ``whole``."""
+    """Least number of poses that retrieval returns; the greatest is ``whole.shortlist``."""
     large_area: float = round(WHOLE.shortlist / _SHORTLIST_SHARE)
     """Places from which on the short list grows no more: it holds few poses of each
     neighbourhood."""
