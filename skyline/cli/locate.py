@@ -25,8 +25,8 @@ from skyline.cli.photo_options import (
     heading_of,
 )
 from skyline.cli.terminal import Terminal
-from skyline.match.batch import entries_of
 from skyline.match.narrowing import NOTED_KM
+from skyline.match.photo_lists import entries_of
 from skyline.tasks.locate import locate_photos
 from skyline.tasks.match import MatchTask
 

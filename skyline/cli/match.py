@@ -36,8 +36,8 @@ from skyline.cli.photo_options import (
 from skyline.cli.terminal import Terminal
 from skyline.errors import InputError
 from skyline.files.disk import STANDARD
-from skyline.match.batch import entries_of
 from skyline.match.matcher import FULL
+from skyline.match.photo_lists import entries_of
 from skyline.report.results_file import RESULTS
 from skyline.tasks.match import (
     UNREFINED,

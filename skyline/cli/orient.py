@@ -29,7 +29,7 @@ from skyline.cli.terminal import Terminal
 from skyline.errors import InputError, SkylineError, check_suffix, printable
 from skyline.files.disk import STANDARD, check_outputs, write_whole
 from skyline.files.tables import csv_lines
-from skyline.match.batch import Entry, entries_of, usable_entries
+from skyline.match.photo_lists import Entry, entries_of, usable_entries
 from skyline.orientation.control_points import PointErrors
 from skyline.orientation.orienter import DEFAULT_POSITION_SD_M
 from skyline.orientation.result import Orientation

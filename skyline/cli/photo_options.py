@@ -12,8 +12,8 @@ from skyline.camera.projection import Projection
 from skyline.cli.options import PEAKS_VARIABLE, bounds_option, panel, parse_bounds
 from skyline.errors import InputError, numbers_in
 from skyline.geodesy.bounds import Circle
-from skyline.match.batch import Entry
 from skyline.match.narrowing import NOTED_KM, Narrowing
+from skyline.match.photo_lists import Entry
 from skyline.report.exports import EXPORTS
 from skyline.report.posterior_files import POSTERIOR_FILES
 from skyline.view.peaks import find_place

@@ -12,8 +12,8 @@ from pathlib import Path
 from skyline.cache import cached_files, prepare_area
 from skyline.errors import InputError, MissingFileError
 from skyline.location import area_of
-from skyline.match.batch import Entry, usable_entries
 from skyline.match.narrowing import Narrowing
+from skyline.match.photo_lists import Entry, usable_entries
 from skyline.tasks.listener import Listener
 from skyline.tasks.match import MatchTask, match_photos
 

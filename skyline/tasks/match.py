@@ -32,12 +32,13 @@ from skyline.files.disk import (
     read_bytes,
     version_of,
 )
-from skyline.match.batch import Entry, MatcherFiles, match_here, match_many
+from skyline.match.batch import MatcherFiles, match_here, match_many
 from skyline.match.config import MatchConfig
 from skyline.match.distant_shards import distant_shards, opening_of
 from skyline.match.joint_result import JointResult
 from skyline.match.matcher import FULL, Matcher
 from skyline.match.method import MATCHERS
+from skyline.match.photo_lists import Entry
 from skyline.match.posterior import Posterior
 from skyline.match.result import MatchResult
 from skyline.match.walk import check_times

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 from skyline.errors import InputError, SkylineError
-from skyline.match.batch import Entry
+from skyline.match.photo_lists import Entry
 from skyline.orientation.orienter import KnownPosition, known_position, orienters
 from skyline.orientation.result import Orientation
 from skyline.photo.noted_place import NotedPlace

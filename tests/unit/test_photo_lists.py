@@ -6,7 +6,7 @@ import pytest
 
 from skyline.camera.projection import Projection
 from skyline.errors import InputError
-from skyline.match.batch import Entry, entries_of
+from skyline.match.photo_lists import Entry, entries_of
 
 
 def entries(folder: Path, projection: str) -> list[Entry]:
