@@ -17,10 +17,9 @@ from skyline.files.disk import version_of
 from skyline.match.areas import terrain_at_hand
 from skyline.match.blas_threads import one_blas_thread
 from skyline.match.fit import FitEffort
-from skyline.match.posterior import AlikePlaces
 from skyline.match.prior import Prior
 from skyline.match.rays import Rays
-from skyline.match.screen import Alike, Screen, Turns
+from skyline.match.screen import Alike, AlikePlaces, Screen, Turns
 from skyline.match.shard import LocalShard, Neighbours, Starts
 from skyline.pose.pose import Poses
 from skyline.progress import StepProgress, silent

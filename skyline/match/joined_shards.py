@@ -12,10 +12,9 @@ import numpy as np
 from skyline.arrays import Float32Array, IntArray
 from skyline.geodesy.map_frame import Frame
 from skyline.match.fit import FitEffort
-from skyline.match.posterior import AlikePlaces
 from skyline.match.prior import Prior
 from skyline.match.rays import Rays
-from skyline.match.screen import Alike, Screen, Turns
+from skyline.match.screen import Alike, AlikePlaces, Screen, Turns
 from skyline.match.shard import Neighbours, Shard, Starts
 from skyline.pose.pose import Poses
 from skyline.progress import StepProgress, silent

@@ -7,9 +7,9 @@ from typing import ClassVar, Self
 from skyline.arrays import BoolArray
 from skyline.errors import InputError
 from skyline.match.other_projection import OtherProjection
-from skyline.match.posterior import AlikePlaces
 from skyline.match.prior import Prior
 from skyline.match.rays import Rays
+from skyline.match.screen import AlikePlaces
 from skyline.match.shard import Shard
 from skyline.pose.pose import Pose, Poses
 from skyline.progress import StepProgress, silent

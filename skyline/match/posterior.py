@@ -47,6 +47,7 @@ from skyline.files.cf import METRES
 from skyline.geodesy.cell_grid import CellGrid
 from skyline.geodesy.map_frame import Frame
 from skyline.match.position_prior import PositionPrior
+from skyline.match.screen import AlikePlaces
 from skyline.pose.pose import RIGHT_WITHIN_M, ROUGHLY_WITHIN_M, Pose, Poses
 
 if TYPE_CHECKING:
@@ -94,26 +95,6 @@ class MapSize:
 
 SPREAD = Spread()
 _SIZE = MapSize()
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class AlikePlaces(Rows):
-    """N places that a search compares, and their likeness to a photo.
-
-    Attributes
-    ----------
-    easting_m, northing_m : (N,) float64
-        In the store's frame.
-    half_m : (N,) float64
-        Half the side of the square that a place represents.
-    score : (N,) float64
-        Scores of screening; more is better.
-    """
-
-    easting_m: Float64Array
-    northing_m: Float64Array
-    half_m: Float64Array
-    score: Float64Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -290,8 +271,8 @@ def grid_around(searches: Iterable[Findings]) -> CellGrid:
         corners_m += [(one.easting_m, one.northing_m) for one in found.candidates]
         places = found.places
         for sign in (-1.0, 1.0):
-            east_m = places.easting_m + sign * places.half_m
-            north_m = places.northing_m + sign * places.half_m
+            east_m = places.easting_m + sign * places.tolerance_m
+            north_m = places.northing_m + sign * places.tolerance_m
             corners_m += [(east_m.min(), north_m.min()), (east_m.max(), north_m.max())]
     west, south = (float(least) for least in np.min(corners_m, axis=0))
     east, north = (float(most) for most in np.max(corners_m, axis=0))
@@ -323,8 +304,8 @@ def posterior_of(found: Findings, frame: Frame, grid: CellGrid | None = None) ->
         sd_m = np.full(len(fitted), SPREAD.around_m)
         layer.add_round(fitted.easting_m, fitted.northing_m, sd_m, share)
     gain = _log_prior(places, position) + SPREAD.score_weight * places.score
-    weight = _softmax(gain + 2.0 * np.log(places.half_m))
-    sd_m = np.hypot(SPREAD.around_m, places.half_m)
+    weight = _softmax(gain + 2.0 * np.log(places.tolerance_m))
+    sd_m = np.hypot(SPREAD.around_m, places.tolerance_m)
     layer.add_round(places.easting_m, places.northing_m, sd_m, (left - by_fits) * weight)
     probability = layer.probability / layer.probability.sum()
     return Posterior(probability.astype(np.float32), layer.grid, frame)

@@ -12,7 +12,6 @@ from skyline.geodesy.bounds import Circle
 from skyline.geodesy.map_frame import Frame, Rectangle, in_rectangle
 from skyline.match.narrowing import Narrowing
 from skyline.match.position_prior import PositionPrior
-from skyline.match.screen import turns_within
 from skyline.photo.noted_place import NotedPlace
 from skyline.pose.pose import Poses
 from skyline.store.places import Places
@@ -22,9 +21,6 @@ _FAR_M = 1e9
 _REACH_M = 1000.0
 """A search looks within this distance of the noted place, plus `_REACH_SCALES` of its scales."""
 _REACH_SCALES = 3.0
-_CONVERGENCE_DEG = 5.0
-"""Bound on the convergence of meridians within a frame; screening searches turns this much farther
-to either side of a given heading."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,14 +77,6 @@ class Prior:
         # In a frame that does not reach the noted place, all places are far from it.
         far = replace(position, easting_m=_FAR_M, northing_m=_FAR_M, grid_heading_deg=None)
         return [replace(prior, position=prior.position or far) for prior in priors]
-
-    @property
-    def open_turns(self) -> BoolArray | None:
-        """The turns (180,) that screening compares; see `turns_within`. None for all."""
-        if self.narrowing.heading_deg is None:
-            return None
-        heading, slack = self.narrowing.heading_deg
-        return turns_within(heading, slack + _CONVERGENCE_DEG)
 
     def contains(self, positions: Places | Poses) -> BoolArray:
         """Return which positions (N,) lie within the circles, bounds and elevations."""

@@ -17,18 +17,22 @@ from itertools import pairwise
 
 import numpy as np
 
-from skyline.arrays import Float64Array, IntArray
+from skyline.arrays import BoolArray, Float64Array, IntArray
 from skyline.errors import InputError
 from skyline.match.fit import GOOD_FIT, ROUGH_FIT
 from skyline.match.joined_shards import JoinedShards
-from skyline.match.posterior import AlikePlaces
+from skyline.match.narrowing import Narrowing
 from skyline.match.prior import NOTHING_KNOWN, Prior
 from skyline.match.rays import REFERENCE_FOV_DEG, Rays
-from skyline.match.screen import Alike, Screen
+from skyline.match.screen import Alike, AlikePlaces, Screen, turns_within
 from skyline.match.shard import Starts
 from skyline.pose.pose import Poses
 from skyline.progress import StepProgress, silent
 from skyline.store.places import Places
+
+_CONVERGENCE_DEG = 5.0
+"""Bound on the convergence of meridians within a frame; screening searches turns this much farther
+to either side of a given heading."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -278,7 +282,8 @@ class Retriever:
         """Return a screen of fields of view that penalizes unlikely ones."""
         penalty = self._effort.unlikely_penalty * rays.lens.cost(log_scales)
         fovs_deg = rays.searched_fov_deg(log_scales)
-        return Screen(rays, fovs_deg, self._sample, prior.open_turns, penalty, coarse=coarse)
+        open_turns = _open_turns(prior.narrowing)
+        return Screen(rays, fovs_deg, self._sample, open_turns, penalty, coarse=coarse)
 
     def _starts(self, rays: Rays, prior: Prior, alike: Alike, count: int, turns: int) -> Starts:
         """Return up to ``count`` starts of fits, the best ones.
@@ -370,6 +375,14 @@ class Retriever:
             return core
         crops = _even_log_scales(rays, least, low, self._effort.crop_steps * step)
         return np.concatenate([crops, core])
+
+
+def _open_turns(narrowing: Narrowing) -> BoolArray | None:
+    """Return the turns (180,) that screening compares; None for all."""
+    if narrowing.heading_deg is None:
+        return None
+    heading_deg, slack_deg = narrowing.heading_deg
+    return turns_within(heading_deg, slack_deg + _CONVERGENCE_DEG)
 
 
 def _joint_cost(found: Sequence[Poses]) -> Float64Array:

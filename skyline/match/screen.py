@@ -122,6 +122,26 @@ class Alike(Rows):
         return cls.concatenate([none, *parts])
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class AlikePlaces(Rows):
+    """N places that a search compares, and their likeness to a photo.
+
+    Attributes
+    ----------
+    easting_m, northing_m : (N,) float64
+        In the frame of the area.
+    tolerance_m : (N,) float64
+        Half the side of the square that a place represents.
+    score : (N,) float64
+        Scores of screening; more is better.
+    """
+
+    easting_m: Float64Array
+    northing_m: Float64Array
+    tolerance_m: Float64Array
+    score: Float64Array
+
+
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Turns(Rows):
     """The best C turns of each of N places, best first."""

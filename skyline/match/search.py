@@ -15,11 +15,11 @@ from skyline.match.joined_shards import JoinedShards
 from skyline.match.method import BY_RENDERING, SearchMethod
 from skyline.match.narrowing import Narrowing
 from skyline.match.other_projection import OtherProjection, find_other_projection
-from skyline.match.posterior import AlikePlaces
 from skyline.match.prior import Prior
 from skyline.match.rays import Rays
 from skyline.match.refine import QUICK, WHOLE, Refinement, RefinementEffort, best_of_several
 from skyline.match.retrieval import NoPlaceError, Retriever
+from skyline.match.screen import AlikePlaces
 from skyline.match.shard import LocalShard, Shard
 from skyline.match.together import JointRefinement
 from skyline.pose.pose import ROUGHLY_WITHIN_M, Pose, Poses

@@ -16,12 +16,12 @@ import numpy as np
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, IntArray, Rows
 from skyline.match.fit import CurveFit, FitEffort
-from skyline.match.posterior import AlikePlaces
 from skyline.match.prior import Prior
 from skyline.match.rays import Rays, in_runs
 from skyline.match.screen import (
     CHOSEN_AT_ONCE,
     Alike,
+    AlikePlaces,
     Scores,
     Screen,
     Turns,
@@ -150,11 +150,11 @@ class LocalShard:
         columns = [
             (one.easting_m, one.northing_m, one.tolerance_m) for one in self._places.blocks()
         ]
-        easting_m, northing_m, half_m = (
+        easting_m, northing_m, tolerance_m = (
             np.concatenate(column)[alike.row] for column in zip(*columns, strict=True)
         )
         score = alike.score.astype(np.float64)
-        return AlikePlaces(easting_m, northing_m, half_m.astype(np.float64), score)
+        return AlikePlaces(easting_m, northing_m, tolerance_m.astype(np.float64), score)
 
     def rescored(self, screens: Sequence[Screen], rows: IntArray) -> Float32Array:
         """See `Shard.rescored`."""

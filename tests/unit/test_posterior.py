@@ -16,9 +16,10 @@ from skyline import Frame, InputError, Narrowing
 from skyline.geodesy.cell_grid import CellGrid
 from skyline.match.joined_shards import JoinedShards
 from skyline.match.position_prior import PositionPrior
-from skyline.match.posterior import SHARES, SPREAD, AlikePlaces, Findings, Posterior, posterior_of
+from skyline.match.posterior import SHARES, SPREAD, Findings, Posterior, posterior_of
 from skyline.match.prior import NOTHING_KNOWN, Prior
 from skyline.match.retrieval import Retriever
+from skyline.match.screen import AlikePlaces
 from skyline.match.shard import LocalShard
 from skyline.pose.pose import Ellipse, Poses
 from skyline.report.posterior_files import write_posteriors
@@ -34,8 +35,8 @@ def grid_of_places(side_m=4000.0, spacing_m=100.0):
     """Return places on a square whose skylines are all equally like the photo's."""
     along_m = np.arange(0.5 * spacing_m, side_m, spacing_m)
     easting_m, northing_m = (one.ravel() for one in np.meshgrid(along_m, along_m))
-    half_m = np.full(easting_m.shape, 0.5 * spacing_m)
-    return AlikePlaces(easting_m, northing_m, half_m, np.zeros(easting_m.shape))
+    tolerance_m = np.full(easting_m.shape, 0.5 * spacing_m)
+    return AlikePlaces(easting_m, northing_m, tolerance_m, np.zeros(easting_m.shape))
 
 
 def within(posterior, east_m, north_m, radius_m):
