@@ -280,7 +280,7 @@ def _factor_at_nodes(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Remainder:
-    """What height errors leave of residuals, and its errors."""
+    """What height errors leave of residuals, with its variances."""
 
     off_rad: Float64Array
     """(M, R) float64. Residuals less the part that height errors explain."""
@@ -325,7 +325,7 @@ class _Mixture:
     def of(cls, residual: Float64Array) -> "_Mixture":
         """Return the mixture without a surface model and a data edge."""
         bare = 1.0 - _MODEL.above_share - _MODEL.below_share
-        return cls(bare, log_density_without_terrain(residual))
+        return cls(bare, _log_density_without_terrain(residual))
 
     def under_surface(self, rest: _Remainder, errors: HeightErrors) -> "_Mixture":
         """Return the mixture where a surface model bounds trees and houses."""
@@ -402,7 +402,7 @@ def density_without_terrain(residual_rad: Float64Array) -> Float64Array:
     return np.asarray(np.where(residual_rad >= 0.0, _DENSITY_ABOVE, _DENSITY_BELOW))
 
 
-def log_density_without_terrain(residual_rad: Float64Array) -> Float64Array:
+def _log_density_without_terrain(residual_rad: Float64Array) -> Float64Array:
     """Return the logarithm of `density_without_terrain`."""
     above = np.log(_DENSITY_ABOVE)
     return np.asarray(np.where(residual_rad >= 0.0, above, np.log(_DENSITY_BELOW)))

@@ -383,7 +383,7 @@ class FullMatcher(SearchMethod):
 
 
 def _with_confidence(poses: Poses, sure: tuple[Float64Array, Float64Array]) -> Poses:
-    """Return poses with probabilities (M,) of being right within 200 m and 1 km."""
+    """Return poses with confidences (M,) within 200 m and within 1 km."""
     near, roughly = sure
     return replace(poses, confidence=near, confidence_1km=roughly)
 
