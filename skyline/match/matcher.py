@@ -117,13 +117,17 @@ class Matcher(Closeable):
                 "that they name; leave the DEM and the surface out"
             )
         self._scenes: list[RenderedScene] = []
-        opened = [self._opened(method, group, dem, surface) for group in groups]
+        try:
+            opened = [self._opened(method, group, dem, surface) for group in groups]
+            self.areas = tuple(area for area, _ in opened)
+            if any(area.frame.lonlat_crs != self.crs for area in self.areas):
+                raise InputError("the stores are of several worlds; name stores of one")
+        except BaseException:
+            self.close()
+            raise
         if len(self._scenes) < len(groups):
             # Costs of refined poses do not compare with costs of others: all are refined, or none.
             self.close()
-        self.areas = tuple(area for area, _ in opened)
-        if any(area.frame.lonlat_crs != self.crs for area in self.areas):
-            raise InputError("the stores are of several worlds; name stores of one")
         self.rows = sum(area.rows for area in self.areas)
         self.holds = method.holds
         methods = [one for _, one in opened]

@@ -3,16 +3,26 @@
 import json
 import math
 from dataclasses import replace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 from affine import Affine
 from scenes import NORTH_M, SPACING_M, WEST_M, fractal, write_dem
 
-from skyline import MatchConfig, Matcher, Narrowing, build_places, read_dem, write_trace
+from skyline import (
+    MatchConfig,
+    Matcher,
+    Narrowing,
+    build_places,
+    build_uniform,
+    read_dem,
+    write_trace,
+)
 from skyline.errors import InputError
 from skyline.match.search import FullMatcher
 from skyline.photo.noted_place import NotedPlace
+from skyline.render.horizon import RenderedScene
 from skyline_bench.queries.synthetic import QueryConfig, make_queries
 
 pytestmark = pytest.mark.usefixtures("refined_quickly")
@@ -155,3 +165,15 @@ def test_a_command_searches_and_exports_stores_of_several_models(run, stores, sk
     assert lon[1] - lon[0] == pytest.approx(6.0, abs=0.1)
     refused = run("match", *stores, traces[0], "--fov-deg", fov_deg, "--report", tmp_path / "r")
     assert "of 2 elevation models, and this needs one" in refused.err
+
+
+def test_a_matcher_that_cannot_open_its_second_store_closes_the_first_one(
+    areas, stores, tmp_path, monkeypatch
+):
+    renderings = tmp_path / "renderings.h5"
+    build_uniform(areas[1][0], renderings, 2000.0)
+    close = Mock()
+    monkeypatch.setattr(RenderedScene, "close", close)
+    with pytest.raises(InputError, match="renderings"):
+        Matcher([stores[0], renderings])
+    close.assert_called_once()
