@@ -30,6 +30,9 @@ from skyline.terrain.grid import STRIP_SAMPLES, row_strips
 ABSURD_M = 30_000.0
 """No known solid body has a height beyond this above or below its datum (Mars: +21.2, -8.2 km)."""
 
+_WRAPPED = 65_536.0
+"""Numbers of 16 bits without a sign wrap below 0 to this: -236 m is kept as 65,300."""
+
 TALLEST_CANOPY_M = 120.0
 """Greatest height in a canopy model."""
 
@@ -70,6 +73,8 @@ class RepairRules:
     ground_m: tuple[float, float] = GROUND_M
     """Lowest and highest ground of the world. A model with higher samples is refused, and a warning
     names lower ones."""
+    deepest_m: float = 11_000.0
+    """Depth of the deepest sea bed."""
     steep_share: float = 0.2
     """Least share of steps above 45 degrees that no ground has. Of the steps of eight models of
     mountains, at 5 to 100 m, at most 3 % are so steep, and in feet taken for metres 16 to 49 %."""
@@ -115,9 +120,10 @@ def repair(
 
     Afterwards NaN marks every hole. ``source`` is the name of the DEM in errors and warnings, and
     ``is_unit_named`` says whether it names the unit of its heights. Raises `InputError` if there
-    are no heights at all, or some above all ground, if voids were resampled with heights, or if the
-    ground is steeper than any and nothing names a unit.
+    are no heights at all, or some above all ground, if heights below 0 have wrapped, if voids were
+    resampled with heights, or if the ground is steeper than any and nothing names a unit.
     """
+    _check_wrapped(heights_m, source, spacing_m, rules)
     undeclared, values_m = void_undeclared(heights_m, spacing_m, rules)
     if values_m:
         _log.warning(
@@ -136,6 +142,41 @@ def repair(
         hollow += int(np.count_nonzero(np.isnan(strip)))
         strip[np.isinf(strip)] = np.nan
     return RepairCounts(filled, hollow, despiked, undeclared)
+
+
+def _check_wrapped(
+    heights_m: Float32Array, source: str, spacing_m: float, rules: RepairRules
+) -> None:
+    """Raise `InputError` if heights below 0 were kept without a sign.
+
+    Several values just below 65,536 m are such heights if most steps between them and other heights
+    are gentle once they are unwrapped. One value alone, or values with walls round them, mark
+    voids.
+    """
+    step_m = rules.least_step_m(spacing_m)
+    lowest = np.inf
+    highest = -np.inf
+    steps = gentle = 0
+    for rows in row_strips(heights_m, rules.cached_samples):
+        strip = heights_m[rows]
+        wrapped = (strip > _WRAPPED - rules.deepest_m) & (strip < _WRAPPED)
+        if not wrapped.any():
+            continue
+        lowest = min(lowest, float(strip[wrapped].min()))
+        highest = max(highest, float(strip[wrapped].max()))
+        for lines, marks in ((strip, wrapped), (strip.T, wrapped.T)):
+            with np.errstate(invalid="ignore"):  # Samples without a height are infinite.
+                rise = np.abs(np.diff(lines, axis=0))
+            border = (marks[1:] != marks[:-1]) & np.isfinite(rise)
+            steps += int(np.count_nonzero(border))
+            gentle += int(np.count_nonzero(border & (np.abs(rise - _WRAPPED) <= step_m)))
+    if lowest < highest and 2 * gentle > steps:
+        raise InputError(
+            f"{source} has values of {lowest:g} to {highest:g} that join its other heights as "
+            f"{lowest - _WRAPPED:g} to {highest - _WRAPPED:g} m: heights below 0 kept in 16 bits "
+            "without a sign; expected signed numbers: convert it (gdal_calc.py --type Int16 --calc "
+            "'A.astype(numpy.int16)')"
+        )
 
 
 def _check_range(

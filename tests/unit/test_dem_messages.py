@@ -272,6 +272,14 @@ class TestRasters:
         path = write_dem(tmp_path / "dem.tif", np.where(mountains() > 1500.0, 9999.0, mountains()))
         assert_says("up to 9999 m, more than any .* --nodata 9999", lambda: read_dem(path))
 
+    def test_below_zero_without_a_sign(self, tmp_path):
+        # A slope from 336 m down to -260 m by 4 m a sample: 65,276 is kept for -260.
+        heights = np.tile(336 - 4 * np.arange(150), (60, 1)).astype(np.int16)
+        read_dem(write_dem(tmp_path / "signed.tif", heights))
+        path = write_dem(tmp_path / "wrapped.tif", heights.view(np.uint16))
+        said = "65276 to 65532 that join its other heights as -260 to -4 m.*numpy.int16"
+        assert_says(said, lambda: read_dem(path))
+
     @pytest.mark.parametrize("how", [Resampling.bilinear, Resampling.cubic])
     def test_between_the_value_of_voids_and_ground(self, tmp_path, how):
         # A plain of 1,000 m, half of it void, moved by a third of a sample: the cubic one rises

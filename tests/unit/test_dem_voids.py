@@ -37,6 +37,14 @@ def test_voids_of_every_kind(tmp_path, dtype, nodata, value):
     assert (counts.filled, counts.hollow, counts.despiked) == (9, 144, 0)
 
 
+@pytest.mark.parametrize("values", [[65535], [65533, 65534, 65535]])
+def test_the_greatest_numbers_of_16_bits_are_voids_in_mountains(tmp_path, values):
+    heights = mountains((40, 40)).astype(np.uint16)
+    heights[20:32, 20:32] = np.resize(values, 12)
+    field = read_dem(write_dem(tmp_path / "dem.tif", heights))
+    assert np.count_nonzero(np.isnan(field.heights_m)) == 144
+
+
 def test_masked_samples_are_voids_and_so_are_those_of_the_nodata_value(tmp_path):
     heights = np.full((9, 9), 500, np.int16)
     heights[2, 2] = 450
