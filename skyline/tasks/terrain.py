@@ -10,6 +10,7 @@ from skyline.geodesy.earth import Curvature
 from skyline.progress import Step
 from skyline.tasks.listener import Listener
 from skyline.terrain.dem import read_dem
+from skyline.terrain.dem_files import dem_names
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.provenance import DemOptions
 
@@ -17,10 +18,16 @@ from skyline.terrain.provenance import DemOptions
 def read_terrain(listener: Listener, dem: Sequence[str], crs: str | None) -> HeightField:
     """Read an elevation model from files, or folders of them.
 
-    ``crs`` is the CRS of files that name none. If reading takes long, a note names the step.
+    ``crs`` is the CRS of files that name none; raises `InputError` if it contradicts the one that
+    they name. If reading takes long, a note names the step.
     """
     with listener.slow(Step.READING):
-        return read_dem(dem, DemOptions(crs=crs))
+        names = dem_names(dem)
+        if crs is not None:
+            from skyline.terrain.named_crs import check_named_crs  # noqa: PLC0415  (rasterio is slow)
+
+            check_named_crs(names, crs)
+        return read_dem(names, DemOptions(crs=crs))
 
 
 def curvature_of(terrain: HeightField, refraction_k: float | None) -> Curvature:

@@ -87,6 +87,7 @@ MISTAKES = [
         "a store holds rows of one kind; name another store",
     ),
     ("info", "nothing to describe"),
+    ("info {dem} --crs EPSG:32633", "and --crs EPSG:32633 would put it 4"),
     ("explain {dem} --at 5", "expected LON,LAT"),
     ("explain {dem} --at 46.7,190.3", "swapped: give 190.3,46.7"),
     # Match

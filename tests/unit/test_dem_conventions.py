@@ -15,6 +15,7 @@ from scenes import UTM, write_dem
 from skyline.errors import InputError
 from skyline.geodesy.map_frame import TRUE_DEG
 from skyline.terrain.dem import read_dem
+from skyline.terrain.named_crs import check_named_crs
 from skyline.terrain.products import GROUND, SURFACE, UNKNOWN, model_of
 from skyline.terrain.provenance import DemOptions
 
@@ -178,6 +179,26 @@ def test_a_map_in_feet_that_names_no_unit_of_heights(tmp_path, caplog):
         with_vertical = read_dem(path, DemOptions(crs=f"EPSG:2227+{datum}"))
         assert with_vertical.height_range_m[0] == pytest.approx(1000.0 * metres)
     assert not caplog.records
+
+
+@pytest.mark.parametrize(
+    ("own", "corner", "step", "named", "is_doubted"),
+    [
+        (UTM, (500_000.0, 5_200_000.0), 30.0, "EPSG:32633", True),
+        (UTM, (500_000.0, 5_200_000.0), 30.0, "EPSG:23032", True),  # ED50 lies 120 m aside.
+        (UTM, (500_000.0, 5_200_000.0), 30.0, "EPSG:25832", False),  # ETRS89 is the same here.
+        (UTM, (500_000.0, 5_200_000.0), 30.0, "EPSG:4326", False),  # These are no degrees,
+        ("EPSG:4326", (9.0, 47.0), 1 / 3600, UTM, False),  # and these no metres.
+    ],
+)
+def test_a_named_crs_that_puts_files_elsewhere(tmp_path, own, corner, step, named, is_doubted):
+    transform = from_origin(*corner, step, step)
+    path = write_dem(tmp_path / "a.tif", np.ones((9, 9), np.int16), own, transform=transform)
+    if is_doubted:
+        with pytest.raises(InputError, match=f"--crs {named} would put it"):
+            check_named_crs([str(path)], named)
+    else:
+        check_named_crs([str(path)], named)
 
 
 @pytest.mark.parametrize(("unit", "is_read"), [("", True), ("m", True), ("ft", False)])
