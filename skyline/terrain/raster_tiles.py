@@ -68,6 +68,17 @@ _UNIT_TAG = re.compile(r"(?:(?:vertical|elevation|height|z)[ _-]?)?unit(?:s|type
 _IN_BRACKETS = re.compile(r"[(\[]([^()\[\]]+)[)\]]\s*$")
 """Text in brackets at the end of a band's description, as in ``Elevation (ft)``."""
 
+_DERIVED = re.compile(
+    r"(?:(?:terrain|surface|ground)[ _-]*)?"
+    r"(?:slope|aspect|hill[ _-]*shad(?:e|ing)|shaded[ _-]*relief|roughness|curvature)"
+    r"(?:[ _-]*(?:angle|map))?"
+    r"(?:[ _-]*(?:in )?[(\[]?(?:deg(?:ree)?s?|°|percent|%|rad(?:ian)?s?)[)\]]?)?",
+    re.IGNORECASE,
+)
+"""Names that programs give to values derived from heights, such as slopes."""
+_QUANTITY_TAGS = ("long_name", "standard_name", "NETCDF_VARNAME")
+"""Tags or attributes that name what a raster's values are."""
+
 _VOID_ATTRS = ("_FillValue", "missing_value", "nodata", "nodatavals")
 """Attributes of arrays that give the value of voids: CF's, and those of odc-geo and of xarray's
 former reader of rasters."""
@@ -145,6 +156,7 @@ def array_tile(array: Any, default_crs: CRS | None) -> Tile:
     grid, north_up = _grid_of(source, transform, (array.sizes[y], array.sizes[x]))
     unit = str(attrs.get("units", "")) or _tagged_unit(attrs)
     vertical = vertical_of(source, crs, unit, str(attrs.get("positive", "")))
+    _check_quantity(source, array.name or "", attrs, vertical)
     on_map = _on_map(source, crs)
     band = np.asarray(array.transpose(y, x, ...).values).reshape(grid.rows, grid.cols)
     # xarray moves attributes to the encoding once it has applied them.
@@ -186,13 +198,15 @@ def _tile_of(
             if name in {f"{dim}#units" for dims in _DIMS for dim in dims}:
                 _check_unit(source, name.removesuffix("#units"), unit, crs)
         tags = dataset.tags() | dataset.tags(band)
+        description = dataset.descriptions[band - 1] or ""
         unit = (
             dataset.units[band - 1]
             or _tagged_unit(tags)
-            or _described_unit(dataset.descriptions[band - 1] or "")
+            or _described_unit(description)
             or _unit_beside(dataset.files)
         )
         vertical = vertical_of(source, crs, unit, tags.get("positive", "up"))
+        _check_quantity(source, description, tags, vertical)
         if dataset.driver == "VRT" and vertical.unit == UNNAMED:
             _check_parts(source, dataset.files[1:], default_crs)
         nodata_value = dataset.nodatavals[band - 1]
@@ -307,6 +321,23 @@ def _described_unit(description: str) -> str:
     """Return the unit of length at the end of a band's description, or ""."""
     found = _IN_BRACKETS.search(description)
     return found[1] if found and metres_per(found[1]) else ""
+
+
+def _check_quantity(source: str, name: object, tags: Mapping[str, Any], vertical: Vertical) -> None:
+    """Raise `InputError` for values that their name tells from heights.
+
+    Slopes and shaded reliefs of decimals may lie between the heights of flat land, so their values
+    do not give them away. A unit says that values are heights, whatever their name.
+    """
+    if vertical.unit != UNNAMED:
+        return
+    for text in (str(name), *(str(tags.get(tag, "")) for tag in _QUANTITY_TAGS)):
+        if _DERIVED.fullmatch(text.strip()):
+            raise InputError(
+                f"{source} names its values {text.strip()!r}; expected heights: give the elevation "
+                "model that they were made from; if they are metres, say so (rio edit-info --bidx "
+                "1 --units m)"
+            )
 
 
 def _unit_beside(files: Sequence[str]) -> str:

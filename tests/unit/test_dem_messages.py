@@ -2,6 +2,7 @@
 
 import gzip
 import math
+import re
 import subprocess
 import sys
 
@@ -249,6 +250,34 @@ class TestRasters:
         assert read_dem(in_unit(tmp_path / "b.tif", "m", relief)).heights_m.max() == 121.0
         path = write_dem(tmp_path / "c.tif", relief)
         assert_says("has 8 bits and values up to 121, as a shaded", lambda: read_dem(path))
+
+    @pytest.mark.parametrize(
+        ("name", "is_read"),
+        [
+            ("slope", False),
+            ("Slope (degrees)", False),
+            ("hillshade", False),
+            ("aspect", False),
+            ("elevation", True),
+            ("North Slope", True),
+            ("slope-corrected heights", True),
+        ],
+    )
+    def test_of_values_derived_from_heights(self, tmp_path, name, is_read):
+        path = write_dem(tmp_path / "a.tif", np.full((9, 9), 30.0, np.float32))
+        with rasterio.open(path, "r+") as dataset:
+            dataset.descriptions = (name,)
+        array = array_of().rename(name)
+        if is_read:
+            read_dem(path)
+            read_dem(array, IN_UTM)
+            return
+        said = f"names its values '{re.escape(name)}'; expected heights"
+        assert_says(said, lambda: read_dem(path))
+        assert_says(said, lambda: read_dem(array, IN_UTM))
+        with rasterio.open(path, "r+") as dataset:
+            dataset.units = ("m",)
+        assert read_dem(path).height_range_m == (30.0, 30.0)
 
     def test_with_a_scale_of_zero(self, tmp_path):
         path = write_dem(tmp_path / "a.tif", ONES)
