@@ -55,6 +55,7 @@ from skyline.store.read import is_store
 from skyline.survey.cluster import Runner, runner_of
 from skyline.tasks.listener import Listener
 from skyline.terrain.dem_files import dem_names
+from skyline.terrain.viewpoints import IN_FLIGHT_M
 from skyline.view.peaks import Peaks, read_peaks
 
 PAGE_PORT = 8765
@@ -262,6 +263,7 @@ class _Run:
     def match(self) -> None:
         """Match the photos without results, and write the files."""
         task = self._task
+        self._ask_about_heights()
         known = self._matched_before()
         # These checks come before the store is opened, which may take a minute.
         checked, refused = self._attempted(
@@ -304,6 +306,17 @@ class _Run:
                 found = self._show_each(known, refused, each, progress)
         if found:
             self._write(found, matcher, gazetteer, done)
+
+    def _ask_about_heights(self) -> None:
+        """Note a camera that is said to be very high above the ground."""
+        given = (one.narrowing.eye_height_m or 0.0 for one in self._task.entries)
+        highest_m = max(given, default=0.0)
+        if highest_m > IN_FLIGHT_M:
+            self._listener.note(
+                f"the camera is taken to be {highest_m:g} m above the ground, as in an aircraft; "
+                "if that is its elevation, leave --eye-height out, or give lowest_m and highest_m "
+                "in a list of photos"
+            )
 
     def _is_split(self, photos: int, runner: Runner) -> bool:
         """Return whether all workers search for each photo.

@@ -13,7 +13,7 @@ from skyline.horizons.local_horizons import LocalHorizons
 from skyline.skylines import FLAG_HOLE, FLAG_TRUNCATED
 from skyline.tasks.listener import Listener
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.viewpoints import Viewpoints, stand_at
+from skyline.terrain.viewpoints import IN_FLIGHT_M, Viewpoints, stand_at
 
 if TYPE_CHECKING:
     from skyline.pose.noted_pose import NotedPose
@@ -32,12 +32,20 @@ def stand_with_notes(
 ) -> Viewpoints:
     """Place eyes at longitudes and latitudes.
 
-    A note names each eye that stands on a summit. Parameters and errors are as in `stand_at`.
+    A note names each eye that stands on a summit, and another asks about eyes that are very high.
+    Parameters and errors are as in `stand_at`.
     """
     lon, lat = np.transpose(positions)
     eyes = stand_at(
         terrain, lon=lon, lat=lat, eye_height_m=eye_height_m, summit_within_m=summit_within_m
     )
+    if eye_height_m > IN_FLIGHT_M:
+        highest_m = eyes.eye_elevation_m.max()
+        listener.note(
+            f"--eye-height {eye_height_m:g} is above the ground: it puts eyes at elevations of up "
+            f"to {highest_m:.0f} m; if {eye_height_m:g} m is an elevation, give the height above "
+            "the ground"
+        )
     easting_m, northing_m = terrain.frame.from_lonlat(lon, lat)
     away_m = np.hypot(eyes.easting_m - easting_m, eyes.northing_m - northing_m)
     stands_m = eyes.eye_elevation_m - eye_height_m

@@ -37,6 +37,10 @@ LEAST_EYE_HEIGHT_M = 0.3
 """Height above ground of a camera on a very low tripod, or in the hands of a person lying down. An
 eye that seems lower stands where the terrain model is too high."""
 
+IN_FLIGHT_M = 120.0
+"""Drones may fly up to this height above ground. A greater one is often an elevation, given by
+mistake."""
+
 HIGHEST_EYE_M = 20_000.0
 """Greatest elevation of an eye, above all aeroplanes with passengers."""
 _ROUNDING_M = 1e-3

@@ -12,7 +12,7 @@ from pyproj import Geod
 from rasterio.transform import from_origin
 from scenes import fractal, write_dem
 
-from skyline import Frame, horizon, read_dem
+from skyline import Frame, horizon, read_dem, stand_at
 
 
 @pytest.fixture(scope="module")
@@ -144,6 +144,19 @@ def test_a_horizon_is_of_the_highest_point_that_was_asked_for(run, dem, places, 
         first = table(run("horizon", dem, *place, "--summit-within", "100").out)[0]
         assert lon != float(first["lon"]) == pytest.approx(highest.lon, abs=1e-6)
         assert lat != float(first["lat"]) == pytest.approx(highest.lat, abs=1e-6)
+
+
+@pytest.mark.parametrize(("height_m", "is_asked"), [(120, False), (1500, True)])
+def test_an_eye_height_that_may_be_an_elevation_is_asked_about(
+    run, dem, places, height_m, is_asked
+):
+    said = run("horizon", dem, "--at", places[0], "--eye-height", height_m).ok().err
+    lon, lat = (float(part) for part in places[0].split(","))
+    elevation_m = stand_at(read_dem(dem), lon=lon, lat=lat, eye_height_m=1500.0).eye_elevation_m[0]
+    asked = (
+        f"up to {elevation_m:.0f} m; if 1500 m is an elevation, give the height above the ground"
+    )
+    assert (asked in said) == is_asked
 
 
 def test_a_place_on_a_hole_is_refused(run, dem, tmp_path):

@@ -34,6 +34,13 @@ def test_the_lens_in_the_exif_is_weighed(run, store, photo, tmp_path, monkeypatc
     assert "field of view: not known; only EXIF's 35 mm equivalent gives it: 0.21 degrees" in said
 
 
+def test_a_camera_s_height_that_may_be_an_elevation_is_asked_about(run, store, tmp_path):
+    """The photo is missing, so nothing is searched."""
+    for height_m, is_asked in ((120, False), (1500, True)):
+        done = run("match", store, tmp_path / "none.jpg", "--eye-height", height_m)
+        assert ("to be 1500 m above the ground, as in an aircraft" in done.err) == is_asked
+
+
 def claiming(photo, path, lonlat, heading_deg, reference="T"):
     """Write a copy of a photo with a position and a direction in its EXIF; return it."""
     other = {
