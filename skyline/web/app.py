@@ -80,6 +80,7 @@ class PageApp:
             Route(f"{of_photo}/skyline", self._skyline, methods=["POST"]),
             Route(f"{of_photo}/trace", self._trace),
             Route(f"{of_photo}/trace", self._load_trace, methods=["POST"]),
+            Route(f"{of_photo}/trace", self._drop_trace, methods=["DELETE"]),
             Route(f"{of_photo}/match", self._match, methods=["POST"]),
             Route(f"{of_photo}/match", self._cancel, methods=["DELETE"]),
             Route(f"{of_photo}/fit", self._fit, methods=["POST"]),
@@ -206,6 +207,11 @@ class PageApp:
             path.unlink(missing_ok=True)
         return _lines(photo)
 
+    async def _drop_trace(self, request: Request) -> Response:
+        photo = self._photo(request)
+        await self._engine.work("strokes", photo.start_from, None, None)
+        return _lines(photo)
+
     async def _match(self, request: Request) -> Response:
         """Match a photo, and answer when the match has ended."""
         photo = self._photo(request)
@@ -286,8 +292,8 @@ def _load_trace(photo: PagePhoto, path: Path) -> None:
     A message about the file calls it "the trace", as the user does not know its path.
     """
     try:
-        photo.solve((), read_trace(path))
-        photo.trace_text = path.read_text(encoding="utf-8", errors="replace")
+        text = path.read_text(encoding="utf-8", errors="replace")
+        photo.start_from(read_trace(path), text)
     except SkylineError as error:
         raise InputError(str(error).replace(str(path), "the trace")) from error
 

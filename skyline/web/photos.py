@@ -125,17 +125,22 @@ class PagePhoto:
             return area_of([self.path], Narrowing())[1].near
         return None
 
-    def solve(self, strokes: Sequence[Stroke], trace: PhotoSkyline | None = None) -> None:
-        """Find the skyline again under all strokes.
-
-        If a trace is given, the strokes are applied to it from now on.
-        """
+    def solve(self, strokes: Sequence[Stroke]) -> None:
+        """Find the skyline again under all strokes."""
         _, correction = opened(self)
         with self.lock:
-            trace = self.trace if trace is None else trace
-            self.skyline = correction.solve(strokes, trace)
+            self.skyline = correction.solve(strokes, self.trace)
             self.strokes = tuple(strokes)
+            self.fitted = None
+
+    def start_from(self, trace: PhotoSkyline | None, text: str | None) -> None:
+        """Take the skyline from a trace, or anew from the photo, without strokes."""
+        _, correction = opened(self)
+        with self.lock:
+            self.skyline = correction.solve((), trace)
+            self.strokes = ()
             self.trace = trace
+            self.trace_text = text
             self.fitted = None
 
     def project(self, projection: Projection) -> None:

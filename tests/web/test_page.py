@@ -308,13 +308,18 @@ def check_files(page, downloads, pose, width):
 
 
 def load_trace(page, downloads, rows):
-    """Load the trace that was saved, after another skyline was drawn."""
+    """Load the trace that was saved over a skyline that was drawn, undo and redo that."""
     page.draw("line", [(100, 50), (400, 50)])
-    assert page.rows()[200] == pytest.approx(50.0, abs=1.0)
+    drawn = page.rows()
+    assert drawn[200] == pytest.approx(50.0, abs=1.0)
     trace = next(path for path in downloads.iterdir() if path.suffix == ".csv")
     page.find("#trace-file").send_keys(str(trace))
-    page.until(lambda: page.rows()[200] == rows[200])
-    assert page.rows() == rows
+    page.until(lambda: page.rows() == rows)
+    page.click("#undo")
+    page.until(lambda: page.rows() == drawn)
+    page.click("#redo")
+    page.until(lambda: page.rows() == rows)
+    assert not page.state("state.photo.strokes.length")
 
 
 def test_everything_is_reached_by_keyboard(page, photo):

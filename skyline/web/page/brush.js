@@ -45,16 +45,40 @@ function finish() {
 }
 
 function undo() {
-  const stroke = state.photo?.strokes.pop();
-  if (!stroke) return;
-  undone.push(stroke);
-  solve();
+  const { photo } = state;
+  if (photo?.strokes?.length) {
+    undone.push(photo.strokes.pop());
+    solve();
+  } else if (photo?.before) {
+    const { trace } = photo;
+    startFrom(photo, photo.before, () => undone.push({ trace }));
+  }
 }
 
 function redo() {
-  const stroke = undone.pop();
-  if (!stroke) return;
-  state.photo.strokes.push(stroke);
+  const { photo } = state;
+  const last = undone.pop();
+  if (!last) return;
+  if (last.kind) {
+    photo.strokes.push(last);
+    solve();
+  } else {
+    startFrom(photo, loaded(photo, last.trace), () => {});
+  }
+}
+
+// The work on a photo after a trace was loaded; the work before it is kept for undo.
+const loaded = ({ strokes, trace, before }, text) => ({ strokes: [], trace: text, before: { strokes, trace, before } });
+
+async function startFrom(photo, work, done) {
+  try {
+    await server.startFrom(photo, work.trace);
+  } catch (error) {
+    return report(error, "trace");
+  }
+  Object.assign(photo, work, { solved: 0 });
+  if (photo !== state.photo) return unsent.add(photo) && send();
+  done();
   solve();
 }
 
@@ -104,7 +128,7 @@ export const waits = (photo) => unsent.has(photo);
 // Resumes the work on a photo that the server does not know.
 export async function resume(photo, { strokes, trace }) {
   Object.assign(photo, { strokes, trace });
-  if (trace) await server.loadTrace(photo, trace);
+  if (trace) await server.startFrom(photo, trace);
   const count = strokes.length;
   if (count) await server.skyline(photo, strokes);
   photo.solved = count;
@@ -123,7 +147,7 @@ export function showSkyline(skyline) {
 }
 
 export function buttons() {
-  $("undo").disabled = !state.photo?.strokes?.length;
+  $("undo").disabled = !state.photo?.strokes?.length && !state.photo?.before;
   $("redo").disabled = !undone.length;
 }
 
@@ -260,8 +284,8 @@ export async function traceFrom(file) {
   settle("trace");
   try {
     const trace = await file.text();
-    const skyline = await server.loadTrace(photo, trace);
-    Object.assign(photo, { strokes: [], trace, solved: 0 });
+    const skyline = await server.startFrom(photo, trace);
+    Object.assign(photo, loaded(photo, trace), { solved: 0 });
     keep(photo);
     emit("mended");
     if (photo !== state.photo) return;

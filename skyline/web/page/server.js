@@ -96,7 +96,9 @@ export const skyline = async (photo, strokes) =>
   asSkyline(photo, await ask("POST", ofPhoto(photo, "/skyline"), JSON.stringify(strokes ? { strokes } : {})));
 export const project = async (photo, projection) =>
   asSkyline(photo, await ask("POST", ofPhoto(photo, "/skyline"), JSON.stringify({ projection })));
-export const loadTrace = async (photo, trace) => asSkyline(photo, await ask("POST", ofPhoto(photo, "/trace"), trace));
+// Puts a trace under the strokes, which are gone then; without a trace, the photo's own skyline.
+export const startFrom = async (photo, trace) =>
+  asSkyline(photo, await ask(trace ? "POST" : "DELETE", ofPhoto(photo, "/trace"), trace ?? undefined));
 export const match = async (photo, known) =>
   (await ask("POST", ofPhoto(photo, "/match"), JSON.stringify(known))).json();
 export const fit = async (photo, pose, known) =>
