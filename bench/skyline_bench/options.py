@@ -181,8 +181,8 @@ def print_rows(rows: Sequence[Row], columns: str | None = None) -> None:
 
     ``columns`` are the keys shown, as ``key`` or ``key=heading``; by default all. Underscores
     become spaces. Bytes are shown as megabytes, and values with their intervals, which rows have as
-    ``key_low`` and ``key_high``. Each part of a wide table begins with the words and has the
-    columns of `_ABOUT`.
+    ``key_low`` and ``key_high``; a row of one measurement (``n``) is shown without. Each part of a
+    wide table begins with the words and has the columns of `_ABOUT`.
     """
     console = Console()
     wide = min(console.width, _WIDTH) if console.is_terminal else _WIDTH
@@ -253,6 +253,6 @@ def _table(rows: Sequence[Row], headings: Mapping[str, str]) -> Table:
 
 def _cell(row: Row, key: str, heading: str) -> str:
     value, low, high = (row.get(name) for name in (key, f"{key}_low", f"{key}_high"))
-    if low is not None and high is not None:
+    if low is not None and high is not None and row.get("n") != 1:
         return f"{shown(value)} ({shown(low)} to {shown(high)})"
     return shown(value / 1e6 if heading.endswith("MB") and value else value)

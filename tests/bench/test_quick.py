@@ -119,3 +119,9 @@ def test_a_wide_table_is_printed_in_parts_that_each_say_what_is_measured():
 
 def test_a_table_that_fits_is_printed_in_one_part():
     assert len(headings(table_text([{"path": "a", "n": 1, "seconds": 0.5}]))) == 1
+
+
+def test_a_share_of_one_query_has_no_interval():
+    row = {"within_200m": 1.0, "within_200m_low": 0.25, "within_200m_high": 1.0}
+    assert "(0.25 to 1)" in table_text([{"n": 2, **row}])
+    assert "0.25" not in table_text([{"n": 1, **row}])
