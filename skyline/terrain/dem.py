@@ -91,11 +91,11 @@ def read_dem(dem: Dem, options: DemOptions | None = None) -> HeightField:
         return read_field(Path(names[0]))
     path = path_of(names, options)
     if path is None:
-        return field_of(metric_dem(_read(names, options), options))
+        return field_of(metric_dem(read_files(names, options), options))
     if kept := kept_model(path):
         return kept
     with noted_warnings() as warnings:
-        dem = metric_dem(_read(names, options), options)
+        dem = metric_dem(read_files(names, options), options)
     return keep_model(dem, path, warnings)
 
 
@@ -118,14 +118,11 @@ def field_in_memory(dem: Any, options: DemOptions | None = None) -> HeightField 
     return field_of(metric_dem(_mosaic_of([tile]), options))
 
 
-def read_files(paths: Paths, options: DemOptions | None = None) -> Mosaic:
+def read_files(paths: Paths, options: DemOptions) -> Mosaic:
     """Read files onto their own common grid, not repaired; otherwise as `read_dem`."""
-    return _read(dem_names(paths), options or DemOptions())
-
-
-def _read(names: Sequence[str], options: DemOptions) -> Mosaic:
     from skyline.terrain.raster_tiles import open_tile  # noqa: PLC0415  (rasterio is slow to load)
 
+    names = dem_names(paths)
     default_crs = options.default_crs
     if not names:
         raise InputError("no DEM file was given; name one or more")

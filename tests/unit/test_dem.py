@@ -187,7 +187,7 @@ def test_a_map_is_kept_where_its_angles_are_true(tmp_path, caplog, crs, place, e
 
 def test_albers_is_warped(shared_data):
     path = shared_data / "sierra" / "sierra_ansel_adams_30m_albers.tif"
-    warped, mosaic = read_dem(path), read_files([path])
+    warped, mosaic = read_dem(path), read_files([path], DemOptions())
     assert (warped.spacing_m, warped.frame.is_local) == (30.0, True)
     row, col = np.array([300, 600]), np.array([500, 200])
     x = mosaic.grid.west + 30.0 * col

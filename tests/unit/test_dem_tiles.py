@@ -96,7 +96,7 @@ def test_tiles_whose_columns_lie_closer_farther_south_become_one_grid(tmp_path):
     for lon in (9, 10):
         tiles.append(tile_of_plane(tmp_path / f"n{lon}.tif", lon, 50.0 + 1 / 6, 1.5, 400.0))
         tiles.append(tile_of_plane(tmp_path / f"s{lon}.tif", lon, 50.0, 1.0))
-    mosaic = read_files(tiles)
+    mosaic = read_files(tiles, DemOptions())
     grid = mosaic.grid
     assert (grid.rows, grid.cols, grid.step_east) == (120, 720, pytest.approx(1 / 360))
     lon = grid.west + np.arange(grid.cols) * grid.step_east
@@ -111,7 +111,7 @@ def test_tiles_whose_columns_lie_closer_farther_south_become_one_grid(tmp_path):
 
 def test_four_californian_tiles_have_no_seam(shared_data):
     paths = [shared_data / "california" / f"{name}.hgt.gz" for name in CALIFORNIA]
-    mosaic = read_files(paths)
+    mosaic = read_files(paths, DemOptions())
     assert (mosaic.grid.rows, mosaic.grid.cols) == (2401, 2401)
     heights = mosaic.heights_m
     merged = np.full(heights.shape, -32768, np.int16)
