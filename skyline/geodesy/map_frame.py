@@ -253,6 +253,16 @@ class Frame:
         is_truer = local._greatest_error_deg(*local.from_lonlat(lon, lat)) < error_deg
         return error_deg if is_truer else 0.0
 
+    def untrue_in_words(self, rectangle_m: Rectangle) -> str:
+        """Return what is wrong on the map of a rectangle; "" if acceptable."""
+        error_deg = self.untrue_deg(rectangle_m)
+        if not error_deg:
+            return ""
+        return (
+            f"on the map of {self.name} slopes and directions are wrong by up to {error_deg:.2f} "
+            "degrees"
+        )
+
     def _greatest_error_deg(self, easting_m: Float64Array, northing_m: Float64Array) -> float:
         error_deg = self.angle_error_deg(easting_m=easting_m, northing_m=northing_m)
         return float(np.nanmax(np.append(error_deg, 0.0)))

@@ -61,11 +61,10 @@ def frame_of(store: Store) -> Frame:
     eyes = store.eyes()
     east_m, north_m = eyes.easting_m, eyes.northing_m
     box_m = float(east_m.min()), float(north_m.min()), float(east_m.max()), float(north_m.max())
-    if error_deg := frame.untrue_deg(box_m):
+    if wrong := frame.untrue_in_words(box_m):
         raise StoreError(
-            f"store {store.path} was built by skyline {store.header.package_version} on the map "
-            f"of {frame.name}, where slopes and directions are wrong by up to {error_deg:.2f} "
-            "degrees; build it again, and its DEM is warped first"
+            f"store {store.path} was built by skyline {store.header.package_version}, and {wrong}; "
+            "build it again, and its DEM is warped first"
         )
     return frame
 

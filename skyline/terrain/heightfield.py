@@ -78,11 +78,8 @@ class HeightField:
             object.__setattr__(self, "_lazy", self.__dict__.pop("heights_m"))
         else:
             self._take_heights()
-        if error_deg := self.frame.untrue_deg(self.bounds_m):
-            raise InputError(
-                f"on the map of {self.frame.name} slopes and directions are wrong by up to "
-                f"{error_deg:.2f} degrees in this DEM; read it with read_dem, which warps it"
-            )
+        if wrong := self.frame.untrue_in_words(self.bounds_m):
+            raise InputError(f"{wrong} in this DEM; read it with read_dem, which warps it")
 
     def _take_heights(self) -> None:
         """Check the array of heights, and make it the field's own."""

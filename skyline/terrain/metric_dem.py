@@ -190,12 +190,9 @@ def _map_frame(mosaic: "Mosaic") -> Frame | None:
         return None
     else:
         frame = Frame.from_crs(crs)
-        error_deg = frame.untrue_deg(mosaic.grid.box)
-        if not error_deg:
+        wrong = frame.untrue_in_words(mosaic.grid.box)
+        if not wrong:
             return frame
-        why = (
-            f"on the map of {crs.name} slopes and directions are wrong by up to {error_deg:.2f} "
-            "degrees in this DEM"
-        )
+        why = f"{wrong} in this DEM"
     _log.warning("%s: %s; the DEM is warped to the local conformal frame", mosaic.source, why)
     return None

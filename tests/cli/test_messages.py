@@ -539,7 +539,7 @@ class TestMatches:
             header = replace(opened.header, frame_wkt=Frame.from_crs("EPSG:3857").wkt)
             write_store(tmp_path / "old.h5", header, opened.stored())
         done = run("match", tmp_path / "old.h5", photo, "--fov-deg", 60)
-        said = "on the map of EPSG:3857, where slopes and directions are wrong by up to 8."
+        said = "and on the map of EPSG:3857 slopes and directions are wrong by up to 8."
         assert_refused(done, said)
         assert "build it again" in done.err
 
