@@ -121,3 +121,19 @@ def clutter(folder):
     (folder / "item.json").write_text(json.dumps({"stac_version": "1.0.0", "type": "Feature"}))
     for number in range(3):
         (folder / f"note{number}.md").write_text("#")
+
+
+def ridges():
+    """Return ridges from north to south that rise 15 m in 30: 27 degrees, and 59 in feet."""
+    across_m = 15.0 * np.abs(np.arange(200) % 40 - 20)
+    return np.tile(1000.0 + across_m, (200, 1)).astype(np.float32)
+
+
+def rough_tiles(folder, row, col, raised_m):
+    """Write two tiles of 80 x 80 of rough terrain, the second raised; return their paths."""
+    rng, place = np.random.default_rng(4), np.arange(160)
+    rough = 30.0 * place[:, np.newaxis] + 15.0 * place + rng.normal(0.0, 2.0, (160, 160))
+    north, west = max(0, -row), max(0, -col)
+    first = rough[north : north + 80, west : west + 80]
+    second = rough[north + row :, west + col :][:80, :80] + raised_m
+    return [tile_at(folder, first, 0, 0), tile_at(folder, second, row, col)]

@@ -1,7 +1,8 @@
 """A server in a process of its own, and a browser whose network ends at this machine."""
 
 import pytest
-from pages import serving
+from pages import Page, serving
+from PIL import Image
 from selenium import webdriver
 
 from skyline.errors import InputError
@@ -34,3 +35,26 @@ def chromium(downloads):
     options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
     with webdriver.Chrome(options=options, service=service) as running:
         yield running
+
+
+@pytest.fixture
+def page(chromium, served):
+    """The page, with nothing on it."""
+    made = Page(chromium, served)
+    yield made
+    severe = (entry for entry in chromium.get_log("browser") if entry["level"] == "SEVERE")
+    # The log also holds what the server refuses with words, and, some time after, that Chromium
+    # left a page of an earlier test with its strokes unsaved.
+    expected = ("status of 400", "'beforeunload' confirmation panel")
+    messages = [entry["message"] for entry in severe]
+    assert [said for said in messages if not any(one in said for one in expected)] == []
+
+
+@pytest.fixture
+def narrow(photo, tmp_path):
+    """The middle half of the photo: other places resemble it more than the whole."""
+    path = tmp_path / "narrow.jpg"
+    with Image.open(photo) as image:
+        width, height = image.size
+        image.crop((width // 4, 0, 3 * width // 4, height)).save(path, quality=95)
+    return path

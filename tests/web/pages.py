@@ -11,6 +11,7 @@ from urllib.parse import urlsplit
 from selenium.common.exceptions import StaleElementReferenceException
 from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.by import By
+from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import WebDriverWait
 from websockets.sync.client import connect
 
@@ -196,6 +197,12 @@ class Page:
     def rows(self):
         """Return the rows of the photo's skyline, None where there is none."""
         return self.state("[...state.rows].map((row) => (Number.isNaN(row) ? null : row))")
+
+    def type_into(self, selector, text):
+        """Type a number into a field, and leave it."""
+        self.script("arguments[0].scrollIntoView({block: 'center'})", self.find(selector))
+        self.find(selector).clear()
+        self.find(selector).send_keys(text, Keys.ENTER)
 
     def match(self):
         """Find the place, and wait for the answer."""
