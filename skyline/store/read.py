@@ -24,6 +24,7 @@ from skyline.arrays import Index, Int64Array, IntArray
 from skyline.errors import InputError, MissingFileError, StoreError
 from skyline.files.disk import STORE_SUFFIXES
 from skyline.geodesy.map_frame import Frame
+from skyline.notebooks import facts_html
 from skyline.skylines import Views
 from skyline.store.layout import (
     EYE,
@@ -41,7 +42,6 @@ from skyline.store.layout import (
 )
 from skyline.store.mapped_places import PlaceMap
 from skyline.store.xarray_export import dataset_of_places, dataset_of_views, table_of_places
-from skyline.terrain.heightfield import facts_html
 from skyline.terrain.viewpoints import Viewpoints
 
 if TYPE_CHECKING:

@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
-from html import escape
 from pathlib import Path
 from typing import Any, cast
 
@@ -27,9 +26,10 @@ from skyline.arrays import (
     by_dimensions,
     refuse_text,
 )
-from skyline.errors import InputError, printable, some_of
+from skyline.errors import InputError, some_of
 from skyline.geodesy.bounds import Bounds
 from skyline.geodesy.map_frame import Frame
+from skyline.notebooks import facts_html
 from skyline.terrain.grid import Grid
 from skyline.terrain.lazy_heights import LazyHeights
 from skyline.terrain.metric_dem import FINEST_M, MetricDem
@@ -405,12 +405,3 @@ def ground_slope(ground: Ground, easting_m: Float64Array, northing_m: Float64Arr
     around = np.concatenate([position + reach_m * turn for turn in (1.0, -1.0, 1.0j, -1.0j)])
     east, west, north, south = ground(around.real, around.imag).reshape(4, -1)
     return np.nan_to_num(np.stack([east - west, north - south], axis=1) / (2.0 * reach_m))
-
-
-def facts_html(facts: Mapping[str, str]) -> str:
-    """Return named facts as an HTML table."""
-    rows = "".join(
-        f"<tr><th>{escape(name)}</th><td>{escape(printable(fact))}</td></tr>"
-        for name, fact in facts.items()
-    )
-    return f"<table>{rows}</table>"
