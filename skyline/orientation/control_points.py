@@ -23,7 +23,8 @@ from skyline.ground.ground_view import GroundErrors
 from skyline.match.rays import Rays
 from skyline.orientation.point_files import ControlPoints
 from skyline.orientation.result import RIGHT_DEG
-from skyline.photo.skyline import PhotoSkyline
+from skyline.photo.photo import Photo
+from skyline.photo.skyline import PhotoSkyline, form_of
 from skyline.pose.pose import Pose
 from skyline.pose.pose_errors import (
     ANGLES,
@@ -92,7 +93,7 @@ _MOST_PITCH_RAD = 1.5
 class PointsFit:
     """A pose fitted to control points."""
 
-    photo: PhotoSkyline
+    photo: Photo | PhotoSkyline
     pose: Pose
     points: ControlPoints
     residual_px: Float64Array
@@ -123,7 +124,7 @@ class PointsFit:
     def to_dict(self) -> dict[str, Any]:
         """Return the fit as ``skyline orient --points --json`` prints it."""
         record: dict[str, Any] = {"photo": printable(self.name), "trusted": int(not self.refusal)}
-        record |= self.photo.form | self.pose.to_dict()
+        record |= form_of(self.photo) | self.pose.to_dict()
         record |= {f"{name}_sd_deg": sd for name, sd in self.sds_deg.items()}
         points = [
             {"name": name, "across_px": across, "down_px": down, "used": used}
@@ -167,7 +168,7 @@ class KnownCamera:
     def at(
         cls,
         viewer: Viewer,
-        photo: PhotoSkyline,
+        photo: Photo | PhotoSkyline,
         *,
         lon: float,
         lat: float,
@@ -205,16 +206,23 @@ class KnownCamera:
         return cls(pose, np.linalg.inv(np.array(pose.covariance)), has_heading=True)
 
 
-def _rays_of(photo: PhotoSkyline) -> Rays:
-    """Return rays with what is known of a photo's lens."""
-    middle = np.full(photo.width_px, photo.height_px / 2.0)
-    whole = replace(photo, row_px=middle, trust=np.ones(photo.width_px), crests=None)
-    return Rays.of(whole, ASSUMED.fov_sd_share, finds_fov=True)
+def _rays_of(photo: Photo | PhotoSkyline) -> Rays:
+    """Return rays along a photo's middle, with what is known of its lens."""
+    middle = PhotoSkyline(
+        np.full(photo.width_px, photo.height_px / 2.0),
+        np.ones(photo.width_px),
+        photo.width_px,
+        photo.height_px,
+        photo.fov_deg,
+        projection=photo.projection,
+        lens=photo.lens,
+    )
+    return Rays.of(middle, ASSUMED.fov_sd_share, finds_fov=True)
 
 
 def fit_points(
     viewer: Viewer,
-    photo: PhotoSkyline,
+    photo: Photo | PhotoSkyline,
     points: ControlPoints,
     known: KnownCamera,
     errors: PointErrors | None = None,
@@ -251,7 +259,7 @@ class _Fit:
     """Fits of one camera to one set of points."""
 
     viewer: Viewer
-    photo: PhotoSkyline
+    photo: Photo | PhotoSkyline
     points: ControlPoints
     known: KnownCamera
     errors: PointErrors

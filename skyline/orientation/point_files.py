@@ -55,7 +55,7 @@ class ControlPoints:
     def __len__(self) -> int:
         return len(self.names)
 
-    def check_photo(self, photo: Path, width_px: int, height_px: int) -> None:
+    def check_inside(self, photo: Path, width_px: int, height_px: int) -> None:
         """Raise `InputError` for points outside a photo."""
         off = ~in_picture(self.column_px, self.row_px, width_px, height_px)
         if off.any():

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 
-import numpy as np
 from PIL import Image, ImageOps
 from PIL.ExifTags import IFD, Base
 
@@ -73,13 +72,6 @@ class Photo(ShortRepr):
     def height_px(self) -> int:
         """Number of rows."""
         return int(self.rgb.shape[0])
-
-    @property
-    def blank(self) -> PhotoSkyline:
-        """The photo without a skyline, whose camera control points fit."""
-        unknown = np.full(self.width_px, np.nan)
-        trust = np.zeros(self.width_px)
-        return self.described(PhotoSkyline(unknown, trust, self.width_px, self.height_px))
 
     def check_upright(self, file: Path) -> None:
         """Raise `InputError` if EXIF turns the photo of a QGIS file.

@@ -34,6 +34,15 @@ class PhotoForm(Protocol):
         """Number of rows."""
 
 
+def form_of(photo: PhotoForm) -> dict[str, str | int]:
+    """Return a photo's projection and size, by the keys of a pose's record."""
+    return {
+        "projection": str(photo.projection),
+        "width_px": photo.width_px,
+        "height_px": photo.height_px,
+    }
+
+
 @dataclass(frozen=True, slots=True)
 class Lens:
     """The horizontal field of view that a file notes for its photo.
@@ -182,11 +191,7 @@ class PhotoSkyline:
     @property
     def form(self) -> dict[str, str | int]:
         """The photo's projection and size, by the keys of a pose's record."""
-        return {
-            "projection": str(self.projection),
-            "width_px": self.width_px,
-            "height_px": self.height_px,
-        }
+        return form_of(self)
 
     @property
     def trusted(self) -> BoolArray:

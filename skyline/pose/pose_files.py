@@ -78,7 +78,7 @@ def read_pose(path: Path, photo: Path) -> PoseRecord:
     record = _record_of(_records_in(path), path, photo)
     if isinstance(record, dict) and record.get("type") in {"FeatureCollection", "Feature"}:
         raise InputError(f"pose {path} is GeoJSON, which draws poses on maps; {EXPECTED_RECORD}")
-    _check_photo(record, path, photo)
+    _check_name(record, path, photo)
     doubt = ""
     if isinstance(record, dict) and isinstance(record.get("candidates"), list):
         candidates = record["candidates"]
@@ -111,7 +111,7 @@ def read_posed(
     return read, record.pose(read)
 
 
-def _check_photo(record: Any, path: Path, photo: Path) -> None:
+def _check_name(record: Any, path: Path, photo: Path) -> None:
     """Raise `InputError` for the record of a photo with another name."""
     named = record.get("photo") if isinstance(record, dict) else None
     if named and not is_name_of(str(named), photo):

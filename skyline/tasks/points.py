@@ -12,7 +12,7 @@ from skyline.orientation.point_files import (
     read_control_points,
     write_control_points,
 )
-from skyline.photo.skyline import PhotoSkyline
+from skyline.photo.photo import Photo
 from skyline.tasks.listener import Listener
 from skyline.tasks.photo_task import CameraTask
 from skyline.tasks.standing import shown_pose
@@ -42,12 +42,11 @@ def orient_by_points(task: PointsTask, listener: Listener) -> PointsFit:
     check_outputs([task.residuals], [task.photo, task.points, *filter(None, [task.pose])])
     points = read_control_points(task.points)
     photo, noted = task.read()
-    blank = photo.blank
     if points.of_qgis:
         photo.check_upright(task.points)
     if task.residuals is not None and is_of_qgis(task.residuals):
         photo.check_upright(task.residuals)
-    points.check_photo(task.photo, blank.width_px, blank.height_px)
+    points.check_inside(task.photo, photo.width_px, photo.height_px)
     if noted is not None and noted.covariance is None:
         raise InputError(
             f"{task.pose} has no covariance, so nothing says how far it may be refined; give the "
@@ -58,19 +57,19 @@ def orient_by_points(task: PointsTask, listener: Listener) -> PointsFit:
         if noted is not None:
             known = KnownCamera.of_pose(shown_pose(noted, viewer, listener))
         else:
-            known = _standing(task, viewer, blank)
-        found = fit_points(viewer, blank, points, known, task.errors, str(task.photo))
+            known = _standing(task, viewer, photo)
+        found = fit_points(viewer, photo, points, known, task.errors, str(task.photo))
     if task.residuals is not None:
         write_control_points(task.residuals, points, found.residual_px, found.is_used)
     return found
 
 
-def _standing(task: PointsTask, viewer: Viewer, blank: PhotoSkyline) -> KnownCamera:
+def _standing(task: PointsTask, viewer: Viewer, photo: Photo) -> KnownCamera:
     """Return the camera at the given position, or the photo's own."""
-    position = task.at.position_of(blank.noted, str(task.photo))
+    position = task.at.position_of(photo.noted, str(task.photo))
     if not position.position_sd_m > 0.0:
         raise InputError(
             f"the standard deviation of the position is {position.position_sd_m:g} m; expected "
             "above 0"
         )
-    return KnownCamera.at(viewer, blank, **position._asdict(), heading_deg=task.at.heading_deg)
+    return KnownCamera.at(viewer, photo, **position._asdict(), heading_deg=task.at.heading_deg)

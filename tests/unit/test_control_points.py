@@ -280,4 +280,4 @@ def test_a_missing_file_of_points_is_told(tmp_path):
 
 def test_points_outside_the_photo_are_of_another(tmp_path):
     with pytest.raises(InputError):
-        points_of().check_photo(tmp_path / "a.jpg", 1100, 800)
+        points_of().check_inside(tmp_path / "a.jpg", 1100, 800)

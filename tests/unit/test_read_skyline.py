@@ -76,7 +76,8 @@ def test_a_photo_is_kept_made_smaller_and_a_mask_is_not(tmp_path):
     image = np.full((800, 3200, 3), 240, np.uint8)
     image[400:] = (60, 80, 100)
     Image.fromarray(image).save(tmp_path / "photo.png")
-    picture = read_photo(tmp_path / "photo.png").blank.picture
+    drawn = PhotoSkyline(np.full(3200, 400.0), np.ones(3200), 3200, 800)
+    picture = read_photo(tmp_path / "photo.png").described(drawn).picture
     assert (picture.shape, picture.dtype) == ((400, 1600, 3), np.uint8)
     assert_array_equal(picture[201:], np.broadcast_to(image[-1, 0], (199, 1600, 3)))
     Image.fromarray(np.where(image > 100, 255, 0).astype(np.uint8)).save(tmp_path / "mask.png")
