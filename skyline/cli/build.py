@@ -18,13 +18,8 @@ from skyline.cli.options import (
     parse_bounds,
 )
 from skyline.cli.terminal import Terminal, size_in_words
-from skyline.store.read import open_store
-from skyline.survey.build import BuildResult, build_store
-from skyline.survey.cluster import runner_of
-from skyline.survey.expected_losses import expected_finds
-from skyline.survey.plans import PlacePlan
-from skyline.tasks.render import advise_to_continue, build_bar, note_added_area
-from skyline.tasks.terrain import curvature_of, read_terrain
+from skyline.survey.build import BuildResult
+from skyline.tasks.build import BuildTask, build_area
 
 
 def build(
@@ -54,17 +49,20 @@ def build(
     crs: Crs = None,
 ) -> None:
     """Build the store that `match` searches. After Ctrl-C, the same command continues."""
+    task = BuildTask(
+        dem=dem,
+        crs=crs,
+        output=output,
+        spacing_m=spacing,
+        places=places,
+        bounds_deg=None if bounds is None else parse_bounds(bounds),
+        workers=workers,
+        refraction_k=refraction_k,
+    )
     terminal = Terminal.of(context)
-    advise_to_continue(output, terminal)
-    area = None if bounds is None else parse_bounds(bounds)
-    terrain = read_terrain(terminal, dem, crs)
-    plan = PlacePlan(spacing, area, places, curvature_of(terrain, refraction_k))
-    note_added_area(output, plan, terrain, terminal)
-    with runner_of(workers) as runner, build_bar(output, "places", terminal) as bar:
-        result = build_store(terrain, output, plan, runner, bar)
+    result, finds = build_area(task, terminal)
     terminal.line(built_in_words(result, output, "places"))
-    with open_store(output) as opened:
-        terminal.line(_finds_in_words(expected_finds(opened.places())))
+    terminal.line(_finds_in_words(finds))
 
 
 def _finds_in_words(classes: Sequence[tuple[float, float, float]]) -> str:

@@ -1,7 +1,6 @@
 """Building stores of renderings at given, gridded or planned viewpoints."""
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,13 +10,12 @@ from skyline.geodesy.bounds import Bounds
 from skyline.paper.build import build_planned
 from skyline.paper.plan import CoveragePlan, PlanConfig
 from skyline.paper.plan_check import Verification
-from skyline.progress import Progress
 from skyline.render.horizon import RenderConfig
-from skyline.store.read import open_store, parts_folder
 from skyline.store.write import check_store_path
-from skyline.survey.build import BuildResult, build_store, finished_store
+from skyline.survey.build import BuildResult, build_store
 from skyline.survey.cluster import runner_of
-from skyline.survey.plans import Plan, RenderingPlan
+from skyline.survey.plans import RenderingPlan
+from skyline.tasks.build import advise_to_continue, build_bar, note_added_area
 from skyline.tasks.listener import Listener
 from skyline.tasks.terrain import curvature_of, read_terrain
 from skyline.terrain.heightfield import HeightField
@@ -173,53 +171,3 @@ def render_planned(
 
         save_coverage_map(result[1], task.map)
     return result
-
-
-def advise_to_continue(store: Path, listener: Listener) -> None:
-    """Check a store's path, and set the advice for Ctrl-C.
-
-    After Ctrl-C, a build that has parts says that the same command continues.
-    """
-    check_store_path(store.resolve())
-    listener.keeps(
-        "what was built is kept, and the same command continues from there",
-        lambda: any(parts_folder(store.resolve()).glob("*/*.h5")),
-    )
-
-
-def note_added_area(store: Path, plan: Plan, terrain: HeightField, listener: Listener) -> None:
-    """Say which area a build adds to a store of another area.
-
-    Raises `StoreMismatchError` for a store of other settings.
-    """
-    header = plan.header(terrain)
-    if not store.exists() or finished_store(store, header) is not None:
-        return
-    with open_store(store) as opened:
-        held = _area_in_words(opened.header.boxes_deg)
-    listener.note(
-        f"{store} covers {held}; {_area_in_words(header.boxes_deg)} is added to it (for a store of "
-        "that area alone, name another file)"
-    )
-
-
-def _area_in_words(boxes_deg: Sequence[Bounds] | None) -> str:
-    if boxes_deg is None:
-        return "all of the DEM"
-    return " and ".join(",".join(f"{side:g}" for side in box) for box in boxes_deg)
-
-
-@contextmanager
-def build_bar(output: Path, rows: str, listener: Listener) -> Iterator[Progress]:
-    """Show a build's progress, after a note on an earlier build."""
-    with listener.progress("rendering") as bar:
-        is_first = True
-
-        def show(done: int, total: int) -> None:
-            nonlocal is_first
-            if is_first and done:
-                listener.note(f"{output}: {done} of about {total} {rows} are there already")
-            is_first = False
-            bar(done, total)
-
-        yield show
