@@ -19,14 +19,11 @@ from skyline.cli.options import (
     parse_position,
 )
 from skyline.cli.terminal import Terminal
-from skyline.errors import InputError
-from skyline.files.disk import STANDARD, check_outputs
-from skyline.horizons.horizon import DEFAULT_STEP_DEG, horizons_of, steps_a_turn
-from skyline.report.horizon_files import check_fit, horizon_csv, kind_of_horizons, write_horizons
-from skyline.tasks.standing import stand_with_notes, warn_of_border
-from skyline.tasks.terrain import curvature_of, read_terrain
-from skyline.terrain.surface_model import read_surface
-from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, read_viewpoints
+from skyline.files.disk import STANDARD
+from skyline.horizons.horizon import DEFAULT_STEP_DEG
+from skyline.report.horizon_files import horizon_csv
+from skyline.tasks.horizon import HorizonTask, find_horizons
+from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M
 
 
 def horizon(
@@ -75,54 +72,21 @@ def horizon(
     It has an elevation angle and a distance for each azimuth. With --photo, it follows the photo's
     skyline where the photo shows one.
     """
-    terminal = Terminal.of(context)
-    _check_places(at, viewpoints, photo, pose)
-    if photo is not None and surface:
-        raise InputError("--photo shows trees and houses itself; leave --surface out")
-    check_outputs([output], filter(None, [viewpoints, photo, pose]))
-    file = None if output == Path(STANDARD) else output
-    if file is not None:
-        kind_of_horizons(file)
-    steps_a_turn(step_deg)  # Refused before the DEM is read
-    positions = [parse_position(text) for text in at or ()]
-    terrain = read_terrain(terminal, dem, crs)
-    curvature = curvature_of(terrain, refraction_k)
-    if photo is not None and pose is not None:
-        from skyline.tasks.photo_horizon import (  # noqa: PLC0415  (slow to load)
-            PhotoHorizonTask,
-            photo_horizon,
-        )
-
-        task = PhotoHorizonTask(
-            photo=photo, pose=pose, step_deg=step_deg, curvature=curvature, projection=projection
-        )
-        found = photo_horizon(task, terrain, terminal)
-    else:
-        ids: tuple[str, ...] = ()
-        if viewpoints is not None:
-            eyes, ids = read_viewpoints(viewpoints, terrain, eye_height, summit_within)
-        else:
-            eyes = stand_with_notes(terrain, positions, eye_height, summit_within, terminal)
-        if file is not None:
-            check_fit(file, len(eyes), bool(surface), terrain.frame.lonlat_crs)
-        over = read_surface(surface, terrain) if surface else None
-        with terminal.progress("rendering") as progress:
-            found = horizons_of(terrain, eyes, step_deg, curvature, progress, over, ids)
-    if file is None:
+    task = HorizonTask(
+        dem=dem,
+        crs=crs,
+        positions=[parse_position(text) for text in at or ()],
+        viewpoints=viewpoints,
+        photo=photo,
+        pose=pose,
+        projection=projection,
+        eye_height_m=eye_height,
+        summit_within_m=summit_within,
+        step_deg=step_deg,
+        surface=surface or (),
+        refraction_k=refraction_k,
+        output=None if output == Path(STANDARD) else output,
+    )
+    found = find_horizons(task, Terminal.of(context))
+    if task.output is None:
         typer.echo(horizon_csv(found), nl=False)
-    else:
-        write_horizons(found, file)
-    warn_of_border(found)
-
-
-def _check_places(
-    at: list[str] | None, viewpoints: Path | None, photo: Path | None, pose: Path | None
-) -> None:
-    """Raise `InputError` unless one place is named, a photo with pose."""
-    if bool(at) + (viewpoints is not None) + (photo is not None) != 1:
-        raise InputError(
-            "give positions as --at LON,LAT or as --viewpoints FILE.csv, or a --photo with its "
-            "--pose"
-        )
-    if (photo is None) != (pose is None):
-        raise InputError("one of --photo and --pose is given; expected both or neither")
