@@ -17,12 +17,8 @@ from skyline.cli.options import (
     parse_position,
 )
 from skyline.cli.terminal import Terminal, size_in_words
-from skyline.errors import suffix_of
-from skyline.report.panorama_view import PanoramaConfig, panorama_view
-from skyline.tasks.standing import stand_with_notes
-from skyline.tasks.terrain import read_terrain
-from skyline.terrain.surface_model import read_surface
-from skyline.view.peaks import read_peaks
+from skyline.report.panorama_view import PanoramaConfig
+from skyline.tasks.panorama import PanoramaTask, draw_panorama
 
 _DRAWN = PanoramaConfig()
 
@@ -45,19 +41,15 @@ def panorama(
     crs: Crs = None,
 ) -> None:
     """Draw the view from a position, with the peaks' names."""
-    from skyline.report import panorama as pictures  # noqa: PLC0415  (slow to load)
-
+    task = PanoramaTask(
+        dem=dem,
+        crs=crs,
+        position=parse_position(at),
+        config=PanoramaConfig(heading, fov_deg, eye_height, summit_within),
+        peaks=peaks,
+        surface=surface or (),
+        output=output,
+    )
     terminal = Terminal.of(context)
-    position = parse_position(at)
-    suffix_of(output, pictures.PANORAMA_SUFFIXES)
-    config = PanoramaConfig(heading, fov_deg, eye_height, summit_within)
-    terrain = read_terrain(terminal, dem, crs)
-    eye = stand_with_notes(terrain, [position], eye_height, summit_within, terminal)
-    with terminal.slow(f"drawing {output}"):
-        over = read_surface(surface, terrain) if surface else None
-        gazetteer = None if peaks is None else read_peaks(peaks, terrain.frame)
-        view = panorama_view(terrain, eye, gazetteer, config, over)
-        unnamed = pictures.save_view(view, output)
-    seen = len(view.sightings)
-    named = "" if gazetteer is None else f", {seen} of {len(gazetteer)} peaks are seen"
-    terminal.line(f"{output}: {size_in_words(output.stat().st_size)}{named}{unnamed.named}")
+    named = draw_panorama(task, terminal)
+    terminal.line(f"{output}: {size_in_words(output.stat().st_size)}{named}")

@@ -15,20 +15,12 @@ from skyline.cli.options import (
     parse_position,
 )
 from skyline.cli.terminal import Terminal
-from skyline.errors import InputError
-from skyline.geodesy.bounds import Circle
-from skyline.geodesy.earth import Curvature
-from skyline.horizons.horizon import horizons_of
 from skyline.horizons.local_horizons import LocalHorizons
-from skyline.sky.alignments import DEFAULT_WITHIN_KM, standpoints
-from skyline.sky.sun import Body, check_is_earth, day_of
-from skyline.tasks.standing import stand_with_notes, warn_of_border
-from skyline.tasks.terrain import curvature_of, read_terrain
-from skyline.terrain.heightfield import HeightField
+from skyline.sky.alignments import DEFAULT_WITHIN_KM
+from skyline.sky.sun import Body, day_of
+from skyline.tasks.sun import DayTask, horizons_on_day, standpoints_on_day
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M
 
-_STEP_DEG = 0.125
-"""Step of the horizon, which the sun crosses in half a minute."""
 _SECOND = "%Y-%m-%dT%H:%M:%SZ"
 
 
@@ -63,40 +55,31 @@ def sun(
     minute by minute. The extra `sun` is needed.
     """
     terminal = Terminal.of(context)
-    asked = day_of(day)
-    positions = [parse_position(text) for text in at]
-    summit = None if over is None else parse_position(over, "--over")
-    if not within > 0.0:
-        raise InputError(f"--within is {within:g}; expected kilometres above 0")
-    terrain = read_terrain(terminal, dem, crs)
-    check_is_earth(terrain.frame.crs)
-    curvature = curvature_of(terrain, refraction_k)
-    if summit is not None:
-        circles = [(lon, lat, within) for lon, lat in positions]
-        lines = [
-            line
-            for body in Body
-            for circle in circles
-            for line in _standpoints(terrain, summit, asked, body, circle, eye_height, curvature)
-        ]
+    task = DayTask(
+        dem=dem,
+        crs=crs,
+        positions=[parse_position(text) for text in at],
+        day=day_of(day),
+        within_km=within,
+        eye_height_m=eye_height,
+        summit_within_m=summit_within,
+        refraction_k=refraction_k,
+    )
+    if over is not None:
+        aligned = standpoints_on_day(task, parse_position(over, "--over"), terminal)
         terminal.line("time_utc,lon,lat,distance_m,azimuth_deg,elevation_deg,body")
-        for line in lines:
-            terminal.line(line)
-        if not lines:
-            terminal.note(
-                f"neither the sun nor the moon stands over the summit on {asked}, as seen from "
-                f"within {within:g} km; give another day, or a greater --within"
+        for body, one in aligned:
+            terminal.line(
+                f"{one.time:{_SECOND}},{one.lon:.6f},{one.lat:.6f},{one.distance_m:.0f},"
+                f"{one.azimuth_deg:.3f},{one.elevation_deg:.3f},{body}"
             )
         return
-    eyes = stand_with_notes(terrain, positions, eye_height, summit_within, terminal)
-    with terminal.progress("rendering") as progress:
-        found = horizons_of(terrain, eyes, _STEP_DEG, curvature, progress)
+    found = horizons_on_day(task, terminal)
     terminal.line("lon,lat,from_utc,to_utc,from_azimuth_deg,to_azimuth_deg,body")
-    for one in found:
+    for place in found:
         for body in Body:
-            for line in _intervals(one, asked, body):
+            for line in _intervals(place, task.day, body):
                 terminal.line(line)
-    warn_of_border(found)
 
 
 def _intervals(one: LocalHorizons, day: date, body: Body) -> list[str]:
@@ -113,24 +96,4 @@ def _intervals(one: LocalHorizons, day: date, body: Body) -> list[str]:
             ]
         )
         for interval in above(day)
-    ]
-
-
-def _standpoints(
-    terrain: HeightField,
-    summit: tuple[float, float],
-    day: date,
-    body: Body,
-    within: Circle,
-    eye_height_m: float,
-    curvature: Curvature,
-) -> list[str]:
-    """Return lines on places from which a body is over a summit."""
-    found = standpoints(
-        terrain, summit, day, body, within, eye_height_m=eye_height_m, curvature=curvature
-    )
-    return [
-        f"{one.time:{_SECOND}},{one.lon:.6f},{one.lat:.6f},{one.distance_m:.0f},"
-        f"{one.azimuth_deg:.3f},{one.elevation_deg:.3f},{body}"
-        for one in found
     ]

@@ -125,7 +125,7 @@ class Stopping:
 STOPPED = {
     "build": Stopping(
         ("--spacing", 80),
-        "skyline.cli.build",
+        "skyline.tasks.build",
         JobSize(4096, 300),
         600,
         "600 of about 1804 places",

@@ -391,7 +391,7 @@ def test_a_build_that_was_stopped(run, dem, tmp_path, monkeypatch):
     def stopped(*_arguments, **_options):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("skyline.cli.build.build_store", stopped)
+    monkeypatch.setattr("skyline.tasks.build.build_store", stopped)
     out = tmp_path / "store.h5"
     part = tmp_path / "store.h5.parts" / "0123" / "places-00001-00004-of-00037.h5"
     part.parent.mkdir(parents=True)
