@@ -76,11 +76,9 @@ def _with_quiet(command: Any) -> Any:
 
 
 def _tidy(command: Any) -> Any:
-    """Return a command with a tidy help.
+    """Return a command, or a group of them, with a tidy help.
 
-    Its flags show no type, and its help fills its lines. So do the commands of a group. Typer would
-    show ``--json <bool>``, and break lines
-    of the help where the docstring does.
+    Typer would show ``--json <bool>``, and break lines of the help where the docstring does.
     """
     for one in getattr(command, "commands", {}).values():
         _tidy(one)

@@ -10,12 +10,7 @@ from typer import Option
 from skyline.cli.options import PhotoProjection, output_option
 from skyline.cli.photo_options import FieldOfView, PhotoFile
 from skyline.cli.terminal import Terminal
-from skyline.errors import check_suffix, suffix_of
-from skyline.files.disk import check_outputs
-from skyline.photo.drawn_skyline import OVERLAYS, write_overlay
-from skyline.photo.photo import read_photo
-from skyline.photo.read import find_skyline
-from skyline.photo.trace import TRACES, write_trace
+from skyline.tasks.extract import ExtractTask, extract_skyline
 
 
 def extract(
@@ -35,16 +30,16 @@ def extract(
 
     A person can correct the trace.
     """
+    task = ExtractTask(
+        photo=photo,
+        output=output,
+        overlay=overlay,
+        fov_deg=fov_deg,
+        projection=projection,
+        sky_model=sky_model,
+    )
+    skyline = extract_skyline(task)
     terminal = Terminal.of(context)
-    check_outputs([output, overlay], [photo])
-    check_suffix(output, TRACES)
-    if overlay is not None:
-        suffix_of(overlay, OVERLAYS)
-    read = read_photo(photo, fov_deg, projection=projection)
-    skyline = find_skyline(read, sky_model)
-    if overlay is not None:
-        write_overlay(read.rgb, skyline, overlay)
-    write_trace(skyline, output)
     trusted = np.count_nonzero(skyline.trusted)
     terminal.written(output, f"skyline found in {trusted} of {skyline.width_px} columns")
     if skyline.lens is not None and skyline.lens.reason:

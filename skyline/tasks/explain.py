@@ -1,13 +1,16 @@
 """The terrain on which a skyline depends, and the rest's error."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from skyline.geodesy.earth import Curvature
 from skyline.render.horizon import RenderConfig, render_views
 from skyline.skylines import pixel_size
-from skyline.terrain.heightfield import HeightField
+from skyline.tasks.listener import Listener
+from skyline.tasks.terrain import read_terrain
 from skyline.terrain.sight_range import share_beyond, sight_range_m
-from skyline.terrain.viewpoints import Viewpoints
+from skyline.terrain.viewpoints import position_on, stand_on
 
 MEANINGS = {
     "width": "columns of a view of 90 degrees",
@@ -23,19 +26,25 @@ MEANINGS = {
 """The meanings of facts, in words."""
 
 
-def explain_skyline(terrain: HeightField, eye: Viewpoints) -> dict[str, object]:
-    """Return facts about one viewpoint's skyline.
+def explain_skyline(
+    dem: Sequence[str], crs: str | None, position: tuple[float, float], listener: Listener
+) -> dict[str, object]:
+    """Return facts about the skyline at a longitude and a latitude.
 
     They are the terrain that is modelled, the terrain that is left out, and the resulting error.
+    Raises as `read_terrain`, and `OffMapError` for a position off the map.
     """
+    terrain = read_terrain(listener, dem, crs)
+    easting_m, northing_m = position_on(terrain, *position)
+    eye = stand_on(terrain, easting_m=easting_m, northing_m=northing_m)
     config = RenderConfig()
     views = render_views(terrain, eye, config)
-    position = {"easting_m": float(eye.easting_m[0]), "northing_m": float(eye.northing_m[0])}
+    stands = {"easting_m": float(eye.easting_m[0]), "northing_m": float(eye.northing_m[0])}
     eye_m = float(eye.eye_elevation_m[0])
-    reach_m = terrain.reach_m(**position)
+    reach_m = terrain.reach_m(**stands)
     sight_m = sight_range_m(terrain, eye_m, config.curvature)
     return {
-        **position,
+        **stands,
         "eye_elevation_m": eye_m,
         "width": config.width,
         "skyline_depth_m": [float(v) for v in np.nanquantile(views.depth_m, [0.0, 0.5, 1.0])]

@@ -24,7 +24,7 @@ POSED, PLACED = ("{photo}", "--pose", "{pose}", *IN_DEM), ("--at", "{at}", *IN_D
 MIDDLES = ("--pixel", "511.5,383.5") * 2
 COMMANDS = {
     "info": (("{dem}",), "info.read_terrain"),
-    "explain": (("{dem}", "--at", "{at}"), "explain.read_terrain"),
+    "explain": (("{dem}", "--at", "{at}"), "tasks.explain.read_terrain"),
     "horizon": (("{dem}", "--at", "{at}"), "tasks.horizon.read_terrain"),
     "sun": (("{dem}", "--at", "{at}", "--date", "2026-06-21"), "tasks.sun.read_terrain"),
     "panorama": (("{dem}", "--at", "{at}", "-o", "{out}.png"), "tasks.panorama.read_terrain"),
@@ -47,7 +47,7 @@ COMMANDS = {
         "tasks.locate.prepare_area",
     ),
     "cache": ((), "cache.cached_areas"),
-    "extract": (("{photo}", "-o", "{out}.csv"), "extract.read_photo"),
+    "extract": (("{photo}", "-o", "{out}.csv"), "tasks.extract.read_photo"),
     "build": (("{dem}", "--spacing", 900, "-o", "{out}.h5"), "tasks.build.read_terrain"),
     "render": (
         ("{dem}", "--spacing", 1500, "--width", 64, "-o", "{out}.h5"),

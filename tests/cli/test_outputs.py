@@ -10,7 +10,7 @@ PLACED = "--at {at} --dem {dem}"
 POSED = "{photo} --pose {pose} --dem {dem}"
 FETCH = "--bounds 9,46,10,47"
 WRONG = {
-    "build {dem} --spacing 900 -o new.tif": "build.read_terrain",
+    "build {dem} --spacing 900 -o new.tif": "tasks.build.read_terrain",
     "render {dem} --spacing 1500 -o new.png": "tasks.render.read_terrain",
     "render {dem} --planner lpov -o new.json": "tasks.render.read_terrain",
     "render {dem} --planner lpov -o ok.h5 --map new.pdf": "tasks.render.read_terrain",
@@ -18,9 +18,9 @@ WRONG = {
     "store merge {store} -o new.gpkg": "store._copied_in_words",
     "store repair {store} -o new.csv": "store._copied_in_words",
     "store export {store} -o new.geojson": "store.Terminal.line",
-    "extract {photo} -o new.png": "extract.read_photo",
-    "extract {photo} -o ok.csv --overlay new.jpg": "extract.read_photo",
-    f"orient {{photo}} {PLACED} -o new.json": "orient.read_terrain",
+    "extract {photo} -o new.png": "tasks.extract.read_photo",
+    "extract {photo} -o ok.csv --overlay new.jpg": "tasks.extract.read_photo",
+    f"orient {{photo}} {PLACED} -o new.json": "tasks.orient.read_terrain",
     f"label {POSED} --peaks {{peaks}} -o new.gif": "tasks.label.read_terrain",
     f"pixels {POSED} -o new.csv": "tasks.pixels.read_terrain",
     f"draw {POSED} --vectors {{photo}} -o new.csv": "tasks.draw.read_vectors",
@@ -33,8 +33,8 @@ WRONG = {
     "match {store} {photo} --report new.html": "tasks.match.Matcher",
     "locate {photo} --near {at},1 --dem {dem} --report new.pdf": "tasks.locate.prepare_area",
     "locate {photo} --near {at},1 --dem {dem} --export new.csv": "tasks.locate.prepare_area",
-    "panorama {dem} --at {at} -o new.jpg": "panorama.read_terrain",
-    "horizon {dem} --at {at} -o new.png": "horizon.read_terrain",
+    "panorama {dem} --at {at} -o new.jpg": "tasks.panorama.read_terrain",
+    "horizon {dem} --at {at} -o new.png": "tasks.horizon.read_terrain",
     f"peaks {FETCH} --server http://localhost:9/ -o new.csv": "peaks.Terminal.written",
     f"dem fetch {FETCH} -o new.tif": "dem.Terminal.line",
 }
