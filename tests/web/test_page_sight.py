@@ -134,6 +134,23 @@ def test_what_a_person_looks_for_is_in_sight(page, photo, dem, tmp_path):
     assert page.asked_elsewhere() == []
 
 
+_PAST_ITS_ROW = """
+const right = (one) => one.getBoundingClientRect().right;
+return [...document.querySelectorAll("#side .row > *")]
+  .filter((one) => one.checkVisibility() && right(one) > right(one.parentElement) + 0.5)
+  .map((one) => one.id);
+"""
+
+
+@pytest.mark.parametrize("size", [*SIZES.values(), (390, 844)])
+def test_what_a_person_knows_keeps_within_its_row(page, photo, size):
+    page.open(photo)
+    page.script("document.getElementById('known').open = true")
+    page.resize(*size)
+    assert page.script(_PAST_ITS_ROW) == []
+    page.resize(*SIZES["wide"])
+
+
 _WRITTEN = """(() => {
   const written = [], ctx = document.createElement("canvas").getContext("2d");
   ctx.fillText = (text, middle, foot) => {
