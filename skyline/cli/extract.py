@@ -28,7 +28,7 @@ def extract(
 ) -> None:
     """Find the skyline in a photo and write it as a trace.
 
-    A person can correct the trace.
+    Correct the trace by hand, and give it to `match` in place of the photo.
     """
     task = ExtractTask(
         photo=photo,
