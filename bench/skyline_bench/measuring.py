@@ -135,10 +135,12 @@ def peak_bytes() -> int | None:
 def shown(value: object) -> str:
     """Return a value as tables show it.
 
-    The value has three digits, or all digits before the point.
+    A number has three digits, or all digits before the point. Counts by name are listed.
     """
-    if value is None:
+    if value is None or value == {}:
         return "-"
+    if isinstance(value, Mapping):
+        return ", ".join(f"{count} {name}" for name, count in value.items())
     if isinstance(value, float):
         return f"{value:.0f}" if abs(value) >= 100.0 else f"{value:.3g}"
     return str(value)

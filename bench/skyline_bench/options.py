@@ -235,7 +235,7 @@ def _repeated(rows: Sequence[Row], headings: Mapping[str, str]) -> list[str]:
 
 
 def _is_words(rows: Sequence[Row], key: str) -> bool:
-    return any(isinstance(row.get(key), str) for row in rows)
+    return any(isinstance(row.get(key), str | Mapping) for row in rows)
 
 
 def _table(rows: Sequence[Row], headings: Mapping[str, str]) -> Table:

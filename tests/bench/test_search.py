@@ -2,23 +2,27 @@
 
 import json
 from collections import Counter
+from functools import partial
 
 import numpy as np
 import pytest
 from commands import assert_refused
 from scenes import candidate_at, field_of, fractal
 
-from skyline import MatchResult
+from skyline import MatchResult, Narrowing, read_dem
 from skyline.errors import InputError
 from skyline.photo.skyline import PhotoSkyline
 from skyline.survey.plans import map_bounds
+from skyline_bench.measuring import middle_of, shown
 from skyline_bench.queries.kinds import make_kind
 from skyline_bench.queries.synthetic import SyntheticQuery, Truth
+from skyline_bench.search.stages import stage_of_loss
 from skyline_bench.search.trials import (
     Trial,
     against_equal,
     as_large,
     gain_points,
+    open_matcher,
     summarize,
     trial_of,
 )
@@ -243,6 +247,22 @@ def test_kinds_of_one_place_share_their_photos():
         make_kind("strangers", terrain, terrain.bounds_m, 1, 0)
 
 
+@pytest.mark.usefixtures("refined_quickly")
+def test_a_search_loses_a_query_where_nothing_near_its_truth_is_kept(dem, store):
+    terrain = read_dem([dem])
+    ((query,),) = make_kind("plain", terrain, middle_of(terrain.bounds_m, (1e3, 1e3)), 1, seed=2)
+    truth = query.truth
+    lon, lat = map(float, terrain.frame.to_lonlat(truth.easting_m, truth.northing_m))
+    behind_deg = (truth.grid_heading_deg + 180.0) % 360.0
+    with open_matcher("full", store, terrain) as matcher:
+        lost_in = partial(stage_of_loss, matcher, store, query)
+        assert lost_in() == "ranking", "all stages before keep it"
+        # 0.02 degrees of latitude are 2.2 km.
+        assert lost_in(Narrowing(near=(lon, lat - 0.02, 0.5))) == "coarse screen"
+        # The skyline behind the camera is another one.
+        assert lost_in(Narrowing(heading_deg=(behind_deg, 20.0))) == "turns"
+
+
 TRIALS = [
     Trial(100.0, 30.0, 10.0, 0.9, 40.0, 200.0),
     Trial(200.0, 900.0, 5.0, 0.9, 40.0, 1000.0),
@@ -265,6 +285,14 @@ def test_a_summary_counts_every_query():
     nothing = summarize(TRIALS[3:], 150.0, seed=0)
     assert (nothing["within_200m"], nothing["mean_m"]) == (0.0, 150.0)
     assert (nothing["precision"], nothing["heading_median_deg"]) == (None, None)
+
+
+def test_a_summary_counts_lost_queries_by_their_stages_in_the_stages_order():
+    lost = ("short list", "fine screen", None, "short list")
+    row = summarize([Trial(100.0, truth_ahead=4.0, lost_in=one) for one in lost], 5000.0, seed=0)
+    assert list(row["lost_in"].items()) == [("fine screen", 1), ("short list", 2)]
+    assert shown(row["lost_in"]) == "1 fine screen, 2 short list"
+    assert summarize(TRIALS, 5000.0, seed=0)["lost_in"] == {}
 
 
 def test_posteriors_are_held_to_the_true_places():

@@ -116,10 +116,11 @@ COMPARISONS: Mapping[str, Comparison] = {
         """Matchers on stores of one area: how often, how near and how fast they find queries.
 
         The paper's matcher and correlation search uniform grids of renderings, ours planned
-        places.""",
+        places. Queries that our search loses are searched once more, and counted by the stage that
+        loses them.""",
         "hours",
         f"""store places build_cpu_s bytes matcher queries {_FOUND} query_cpu_s lost_by_search
-        lost_to_likeness""",
+        lost_in lost_to_likeness""",
         (*_grids(RENDERINGS), *_planned(None)),
         trials.MATCHERS,
         kinds.OF_ONE_AREA,

@@ -169,6 +169,7 @@ class Comparison:
                         narrowing = _square(truth, areas[area], area_m, terrain, self.seed)
                     trial = trials.tried(
                         opened,
+                        store.path,
                         query,
                         narrowing,
                         strange=is_strange,

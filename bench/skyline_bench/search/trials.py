@@ -5,6 +5,7 @@ Shares have Wilson's intervals. Adaptive stores are compared with uniform ones.
 """
 
 import math
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -25,6 +26,7 @@ from skyline.terrain.heightfield import HeightField
 from skyline_bench.measuring import Row, timed
 from skyline_bench.queries.kinds import Query, distance_m
 from skyline_bench.queries.synthetic import QueryConfig, SyntheticQuery, Truth
+from skyline_bench.search.stages import STAGES, stage_of_loss
 from skyline_bench.search.stores import UNIFORM, are_as_many
 
 PAPER = "paper"
@@ -55,6 +57,7 @@ class Trial:
     within_m: float | None = None  # How near the matcher answers; None without an answer
     # How much better the true pose of a lost query fits than the best candidate; else None.
     truth_ahead: float | None = None
+    lost_in: str | None = None  # Which of `skyline_bench.search.stages.STAGES` lost it, if one did
     # Whether a photo is named as taken elsewhere; with a stranger, whether the stranger is named.
     named: bool = False
     # Share of the posterior in more probable cells than the true one's, and how much more probable
@@ -73,13 +76,14 @@ def open_matcher(name: str, store: Path, terrain: HeightField) -> Matcher:
 
 def tried(
     matcher: Matcher,
+    store: Path,
     query: Query,
     narrowing: Narrowing | None,
     *,
     strange: bool,
     with_posterior: bool = False,
 ) -> Trial:
-    """Match a query; a query that is refused has no candidate."""
+    """Match a query to a store; a query that is refused has no candidate."""
 
     def match() -> MatchResult | JointResult | None:
         with suppress(InputError):  # No place lies within the narrowing.
@@ -90,13 +94,21 @@ def tried(
 
     result, timing = timed(match)
     trial = trial_of(query, result, strange)
-    ahead = None
+    ahead = lost_in = None
     if not strange and trial.error_m > RIGHT_WITHIN_M and isinstance(result, MatchResult):
         ahead = _truth_ahead(matcher, query[0], result)
+    if ahead is not None and ahead > _AHEAD:
+        lost_in = stage_of_loss(matcher, store, query[0], narrowing)
     if with_posterior and result is not None:
         with suppress(InputError):  # The photo shows no skyline at all.
             trial = _with_posterior(trial, matcher.posterior(result), query[0].truth)
-    return replace(trial, truth_ahead=ahead, seconds=timing.seconds, cpu_s=timing.cpu_seconds)
+    return replace(
+        trial,
+        truth_ahead=ahead,
+        lost_in=lost_in,
+        seconds=timing.seconds,
+        cpu_s=timing.cpu_seconds,
+    )
 
 
 def _with_posterior(trial: Trial, posterior: Posterior, truth: Truth) -> Trial:
@@ -202,7 +214,8 @@ def summarize(trials: Sequence[Trial], miss_m: float, seed: int) -> Row:
 
     A query without a candidate is wrong by ``miss_m``. Queries over 200 m off are lost by the
     search if the true pose fits clearly better than the best candidate, and lost to likeness if the
-    best candidate fits as well or better.
+    best candidate fits as well or better. ``lost_in`` counts the former by the stage that lost
+    them.
 
     The interval of the mean is a percentile bootstrap over the queries. One seed draws the same
     queries for every row, so that rows can be compared.
@@ -220,6 +233,7 @@ def summarize(trials: Sequence[Trial], miss_m: float, seed: int) -> Row:
     radius_m = np.array([trial.radius_m for trial in trials], dtype=np.float64)
     sized = right & np.isfinite(radius_m)
     ahead = np.array([trial.truth_ahead for trial in trials], dtype=np.float64)
+    lost = Counter(trial.lost_in for trial in trials)
     return {
         "n": len(trials),
         "from_m": min(distance_m),
@@ -241,6 +255,7 @@ def summarize(trials: Sequence[Trial], miss_m: float, seed: int) -> Row:
         "radius_holds": float((found <= radius_m)[sized].mean()) if sized.any() else None,
         "highest_confidence": max((trial.confidence or 0.0 for trial in trials), default=0.0),
         "lost_by_search": float((ahead > _AHEAD).mean()),
+        "lost_in": {stage: count for stage in STAGES if (count := lost[stage])},
         "lost_to_likeness": float((ahead <= _AHEAD).mean()),
         **_held(trials),
         "named": float(np.mean([trial.named for trial in trials])),
