@@ -12,7 +12,6 @@ import re
 import signal
 import sys
 import tempfile
-import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -41,7 +40,7 @@ from skyline.terrain.dem import read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline_bench import options
 from skyline_bench.geotiff import write_geotiff
-from skyline_bench.measuring import Row, square_km
+from skyline_bench.measuring import Row, square_km, timed
 from skyline_bench.records import write_record
 from skyline_bench.search.stores import middle_deg
 
@@ -100,9 +99,8 @@ def _kills(terrain: HeightField, kinds: _Plans, builds: int, folder: Path) -> It
     generator = np.random.default_rng(0)
     for number, (name, (plan, workers)) in enumerate(kinds.items()):
         whole = folder / "whole.h5"
-        started = time.perf_counter()
-        _start(terrain, whole, plan, workers).join()
-        lasts_s = time.perf_counter() - started
+        _, timing = timed(_start(terrain, whole, plan, workers).join)
+        lasts_s = timing.seconds
         unbroken = whole.read_bytes()
         whole.unlink()
         tally = Counter(builds=0, kills=0, lost=0, equal=0)

@@ -35,6 +35,12 @@ class Timing:
     seconds: float  # Wall-clock time
     cpu_seconds: float  # Processor time of the whole process, all its threads
 
+    @classmethod
+    def median_of(cls, timings: Sequence["Timing"]) -> "Timing":
+        """Return the medians of the times of some repeats."""
+        wall, cpu = np.median([(one.seconds, one.cpu_seconds) for one in timings], axis=0)
+        return cls(float(wall), float(cpu))
+
 
 def core_count() -> int:
     """Return how many cores this process may use."""
@@ -99,8 +105,7 @@ def in_turns(
     each run, outside the time.
     """
     rounds = [[_ticked(work, tick) for work in works] for _ in range(repeats + 1)]
-    medians = np.median(np.array(rounds[1:]).reshape(repeats, len(works), 2), axis=0)
-    return [Timing(float(wall), float(cpu)) for wall, cpu in medians]
+    return [Timing.median_of(timings) for timings in zip(*rounds[1:], strict=True)]
 
 
 def timed(work: Callable[[], Result]) -> tuple[Result, Timing]:
@@ -111,11 +116,11 @@ def timed(work: Callable[[], Result]) -> tuple[Result, Timing]:
     return result, Timing(time.perf_counter() - wall, time.process_time() - cpu)
 
 
-def _ticked(work: Callable[[], object], tick: Callable[[], object]) -> tuple[float, float]:
-    """Return the wall-clock and processor time of work; tick after it."""
+def _ticked(work: Callable[[], object], tick: Callable[[], object]) -> Timing:
+    """Return the time of a piece of work; tick after it."""
     _, timing = timed(work)
     tick()
-    return timing.seconds, timing.cpu_seconds
+    return timing
 
 
 def peak_bytes() -> int | None:

@@ -6,13 +6,13 @@ The first answer about a DEM is timed, and the next.
 import os
 import resource
 import shutil
-import statistics
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
+from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -26,11 +26,13 @@ from skyline.photo.trace import write_trace
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.provenance import DemOptions
 from skyline_bench import options
-from skyline_bench.measuring import middle_of
+from skyline_bench.measuring import Timing, middle_of, timed
 from skyline_bench.queries.synthetic import make_queries
 
 _SIDE_KM = 26.0
 """A square of this side has the 700 km2 of the largest area that `locate` makes by itself."""
+_RUNS = "first", "next"
+"""Runs of a command with one cache."""
 
 
 def opening(
@@ -57,18 +59,12 @@ def opening(
         rows = []
         for number, (name, words) in enumerate(commands.items()):
             timings = [
-                [_run(words, cache, folder) for _ in range(2)]
+                [_run(words, cache, folder) for _ in _RUNS]
                 for cache in (_cache(name, folder, each) for each in range(rounds))
             ]
             rows += [
-                {
-                    "command": name,
-                    "run": run,
-                    "seconds": statistics.median(one[which][0] for one in timings),
-                    "cpu_seconds": statistics.median(one[which][1] for one in timings),
-                    "rounds": rounds,
-                }
-                for which, run in enumerate(("first", "next"))
+                {"command": name, "run": run, **asdict(Timing.median_of(some)), "rounds": rounds}
+                for run, some in zip(_RUNS, zip(*timings, strict=True), strict=True)
             ]
             progress(number + 1, len(commands))
     options.report(record, rows, terrain=terrain)
@@ -118,17 +114,13 @@ def _cache(name: str, folder: Path, number: int) -> Path | None:
     return cache
 
 
-def _run(words: Sequence[str], cache: Path | None, folder: Path) -> tuple[float, float]:
-    """Run a command in a new process.
-
-    Returns its wall-clock and its processor time, seconds.
-    """
+def _run(words: Sequence[str], cache: Path | None, folder: Path) -> Timing:
+    """Run a command in a new process, and return its time."""
     environment = dict(os.environ)
     if cache is not None:
         environment["SKYLINE_CACHE"] = str(cache)
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    started = time.perf_counter()
-    done = subprocess.run(
+    run = partial(
+        subprocess.run,
         [sys.executable, "-m", "skyline", *words],
         env=environment,
         cwd=folder,
@@ -136,8 +128,10 @@ def _run(words: Sequence[str], cache: Path | None, folder: Path) -> tuple[float,
         text=True,
         check=False,
     )
-    seconds = time.perf_counter() - started
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    done, timing = timed(run)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     if done.returncode:
         raise SkylineError(f"skyline {words[0]} failed: {done.stderr.strip()}")
-    return seconds, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    cpu_seconds = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return Timing(timing.seconds, cpu_seconds)

@@ -6,9 +6,9 @@ covered. The least number of viewpoints of a strategy, ``bound``, is the number 
 cover divided by the mean area of its views.
 """
 
-import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Annotated, Any
 
 import numpy as np
@@ -28,7 +28,7 @@ from skyline.terrain.heightfield import HeightField
 from skyline.terrain.provenance import DemOptions
 from skyline.terrain.viewpoints import Viewpoints, stand_on
 from skyline_bench import options
-from skyline_bench.measuring import Row, square_km
+from skyline_bench.measuring import Row, square_km, timed
 
 PAPER_SIDE = 100
 """Rows and columns of the paper's square of sites."""
@@ -59,8 +59,8 @@ def measure_table1(seeds: int, side: int, numbers: Sequence[int]) -> list[dict[s
     Each is run with the seeds 0, 1, and so on. The rows have, for each row of the table and
     strategy, the paper's figures, if its square is as large, and the means and standard deviations
     over seeds of ``A``, ``B``, ``mean_area`` (of the views rendered) and ``seconds`` (processor
-    time), the mean ``coverage`` that is reached, and ``bound``, the sites to cover divided by
-    ``mean_area``.
+    time, with the renderings and areas that a planner asks for), the mean ``coverage`` that is
+    reached, and ``bound``, the sites to cover divided by ``mean_area``.
     """
     rows = []
     for number in numbers:
@@ -68,16 +68,19 @@ def measure_table1(seeds: int, side: int, numbers: Sequence[int]) -> list[dict[s
         simulation = Simulation(row, side)
         for name in row.papers:
             planner = load(PLANNERS, name)
-            runs = [simulate(simulation, planner, seed) for seed in range(seeds)]
+            runs, timings = zip(
+                *(timed(partial(simulate, simulation, planner, seed)) for seed in range(seeds)),
+                strict=True,
+            )
             figures: dict[str, list[float]] = {
-                "A": [len(coverage.viewpoints) for coverage, _ in runs],
-                "B": [coverage.overlap for coverage, _ in runs],
-                "mean_area": [np.count_nonzero(one.areas) / len(one.areas) for one, _ in runs],
-                "seconds": [seconds for _, seconds in runs],
+                "A": [len(coverage.viewpoints) for coverage in runs],
+                "B": [coverage.overlap for coverage in runs],
+                "mean_area": [np.count_nonzero(one.areas) / len(one.areas) for one in runs],
+                "seconds": [timing.cpu_seconds for timing in timings],
             }
             measured = {key: float(np.mean(values)) for key, values in figures.items()}
             measured |= {f"{key}_std": float(np.std(values)) for key, values in figures.items()}
-            measured["coverage"] = float(np.mean([one.fraction() for one, _ in runs]))
+            measured["coverage"] = float(np.mean([one.fraction() for one in runs]))
             bound = row.coverage * simulation.sites.valid.size / measured["mean_area"]
             papers = {}
             if side == PAPER_SIDE:
@@ -266,13 +269,11 @@ def _crossings(
         last = last[more]
 
 
-def simulate(simulation: Simulation, planner: Planner, seed: int) -> tuple[Coverage, float]:
+def simulate(simulation: Simulation, planner: Planner, seed: int) -> Coverage:
     """Run a planner on a simulation until the row's coverage is reached.
 
-    Return the coverage, whose viewpoints are in the order rendered, the corners first, and the
-    processor time of the planner, including the renderings and areas that it asked for.
+    Return the coverage, whose viewpoints are in the order rendered, the corners first.
     """
-    started = time.process_time()
     coverage = Coverage(simulation.sites)
     known: list[Float64Array] = []
 
@@ -295,7 +296,7 @@ def simulate(simulation: Simulation, planner: Planner, seed: int) -> tuple[Cover
     problem = Problem(coverage, everywhere, simulation.row.coverage, projected_areas)
     for asked in planner(problem, np.random.default_rng(seed)):
         render(asked)
-    return coverage, time.process_time() - started
+    return coverage
 
 
 # --- predictors on real terrain -------------------------------------------------------------

@@ -2,10 +2,10 @@
 
 import hashlib
 import math
-import time
 import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -38,7 +38,7 @@ from skyline.report.overlay import draw_overlay
 from skyline.survey.plans import map_bounds
 from skyline.terrain.provenance import DemOptions
 from skyline_bench import options
-from skyline_bench.measuring import Row, shown, square_km
+from skyline_bench.measuring import Row, shown, square_km, timed
 from skyline_bench.queries.manifest import EXTRACT, KINDS, LOCATE, Photograph, read_manifest
 from skyline_bench.records import write_record
 from skyline_bench.search.stores import BuiltStore, StoreSpec
@@ -219,13 +219,12 @@ def summarize(rows: Sequence[Row]) -> list[dict[str, Any]]:
 def _extracted(one: Photograph) -> Measured:
     """Read a photograph, and compare its skyline with any known truth."""
     figures: dict[str, Any] = {"photo": one.name, "kind": one.kind}
-    started = time.perf_counter()
     try:
-        skyline = read_skyline(one.photo, one.given_fov_deg)
+        skyline, timing = timed(lambda: read_skyline(one.photo, one.given_fov_deg))
     except InputError as error:
         refusal = str(error).replace(str(one.photo), one.name)
         return Measured(one, figures | {"refusal": refusal, "lost": "extraction"})
-    figures |= {"seconds": time.perf_counter() - started, "trusted": float(skyline.trusted.mean())}
+    figures |= {"seconds": timing.seconds, "trusted": float(skyline.trusted.mean())}
     if one.given_eye_height_m is not None:
         skyline = replace(skyline, eye_height_m=one.given_eye_height_m)
     true_px = one.true_row_px(skyline.width_px, skyline.height_px)
@@ -419,9 +418,9 @@ def sky_masks(
             seconds = []
             for mask in some:
                 photo = mask.with_name(mask.name.replace(".mask.png", ".jpg"))
-                started = time.process_time()
-                counts.append(_columns(Photograph(photo, EXTRACT, mask=mask)))
-                seconds.append(time.process_time() - started)
+                counted, timing = timed(partial(_columns, Photograph(photo, EXTRACT, mask=mask)))
+                counts.append(counted)
+                seconds.append(timing.cpu_seconds)
                 progress(len(rows) * len(some) + len(counts), len(masks))
             trusted, right, far, known = np.array(counts).T
             rows.append(

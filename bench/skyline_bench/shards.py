@@ -11,7 +11,7 @@ import threading
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -28,12 +28,10 @@ from skyline.geodesy.map_frame import Frame
 from skyline.match.blas_threads import one_blas_thread
 from skyline.match.distant_shards import OpenAreas, Part, distant_shards
 from skyline.match.joined_shards import JoinedShards
-from skyline.match.prior import NOTHING_KNOWN
 from skyline.match.rays import Rays
 from skyline.match.retrieval import Retriever
 from skyline.match.shard import LocalShard
 from skyline.pose.pose import Poses
-from skyline.progress import silent
 from skyline.store.layout import PLACES_A_CHUNK
 from skyline.store.mapped_places import PlaceMap
 from skyline.store.places import Places
@@ -42,7 +40,7 @@ from skyline.survey.cluster import Opening, Runner, local_cluster
 from skyline.terrain.heightfield import HeightField, ground_of
 from skyline.terrain.provenance import DemOptions
 from skyline_bench import options
-from skyline_bench.measuring import Row, peak_bytes, square_km
+from skyline_bench.measuring import Row, peak_bytes, square_km, timed
 from skyline_bench.queries.synthetic import make_queries
 
 _AREA_KM2 = 1e5
@@ -167,11 +165,11 @@ class _Search:
             self._found(Retriever(warming))  # Each process opens the store and the DEM.
         km2 = areas * copies * self._km2
         about = {"km2": km2, "areas": areas, "places": len(here), "bytes": len(here) * self._row}
-        one, alone = self._measured(Retriever(here))
-        whole = about | {"process": "one", **alone[0], "seconds": one.seconds}
-        spread, by_process = self._measured(there)
+        one, one_s, (alone, *_) = self._measured(Retriever(here))
+        whole = about | {"process": "one", **alone, "seconds": one_s}
+        spread, spread_s, by_process = self._measured(there)
         busiest = max(figures["cpu_seconds"] for figures in by_process[1:])
-        share = about | {"bytes": about["bytes"] / self._runner.workers, "seconds": spread.seconds}
+        share = about | {"bytes": about["bytes"] / self._runner.workers, "seconds": spread_s}
         rows = [whole | {"equal": True, "times_as_fast": 1.0}]
         for number, figures in enumerate(by_process):
             rows.append(share | {"process": f"worker {number}", **figures})
@@ -179,52 +177,43 @@ class _Search:
         rows[1] |= {
             "process": "asking",
             "bytes": 0,
-            "equal": _are_equal(one.poses, spread.poses),
-            "times_as_fast": alone[0]["cpu_seconds"] / took,
+            "equal": _are_equal(one, spread),
+            "times_as_fast": alone["cpu_seconds"] / took,
         }
-        killed = self._killed(there, 0.5 * spread.seconds)
-        again = {"process": "asking, a worker killed", "seconds": killed.seconds}
-        return [*rows, about | again | {"equal": _are_equal(one.poses, killed.poses)}]
+        killed, killed_s = self._killed(there, 0.5 * spread_s)
+        again = {"process": "asking, a worker killed", "seconds": killed_s}
+        return [*rows, about | again | {"equal": _are_equal(one, killed)}]
 
-    def _measured(self, retriever: Retriever) -> tuple["_Found", list[dict[str, float]]]:
-        """Search; return the places found, and the cost to each process.
+    def _measured(self, retriever: Retriever) -> tuple[Poses, float, list[dict[str, float]]]:
+        """Search; return the short list, its seconds, and the cost to each process.
 
         Costs are processor seconds and peaks of memory: this process's first, then the workers'.
         """
         before = self._usage()
-        found = self._found(retriever)
+        found, timing = timed(partial(self._found, retriever))
         after = self._usage()
-        return found, [
+        costs = [
             {"cpu_seconds": now[0] - then[0], "peak_bytes": now[1]}
             for then, now in zip(before, after, strict=True)
         ]
+        return found, timing.seconds, costs
 
     def _usage(self) -> list[tuple[float, int]]:
         workers = self._runner.client.run(_usage)
         return [_usage(), *(workers[address] for address in sorted(workers))]
 
-    def _killed(self, retriever: Retriever, after_s: float) -> "_Found":
-        """Search while a worker is killed; return the places found."""
+    def _killed(self, retriever: Retriever, after_s: float) -> tuple[Poses, float]:
+        """Search while a worker is killed; return the short list and its seconds."""
         pids = self._runner.client.run(os.getpid)
         victim = threading.Timer(after_s, os.kill, (min(pids.values()), signal.SIGKILL))
         victim.start()
-        found = self._found(retriever)
+        found, timing = timed(partial(self._found, retriever))
         victim.join()
-        return found
+        return found, timing.seconds
 
     @one_blas_thread()
-    def _found(self, retriever: Retriever) -> "_Found":
-        started = time.perf_counter()
-        *_, poses = retriever.shortlists(self._rays, _LISTED, NOTHING_KNOWN, silent)
-        return _Found(poses, time.perf_counter() - started)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Found:
-    """A short list, and the seconds that it took."""
-
-    poses: Poses
-    seconds: float
+    def _found(self, retriever: Retriever) -> Poses:
+        return retriever.shortlist(self._rays, _LISTED)
 
 
 def _usage() -> tuple[float, int]:
