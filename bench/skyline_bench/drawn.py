@@ -39,12 +39,11 @@ from skyline.survey.plans import map_bounds
 from skyline.terrain.provenance import DemOptions
 from skyline_bench import options
 from skyline_bench.measuring import Row, square_km
-from skyline_bench.noted_heights import BESIDE_M
-from skyline_bench.queries.kinds import perturbed
-from skyline_bench.queries.synthetic import SyntheticQuery, make_queries
+from skyline_bench.queries.kinds import HEIGHT_SD_M, perturbed
+from skyline_bench.queries.synthetic import BESIDE_M, SyntheticQuery, make_queries
 from skyline_bench.records import write_record
 from skyline_bench.search.stores import middle_deg
-from skyline_bench.sights import HEIGHT_SD_M, true_pose
+from skyline_bench.sights import true_pose
 
 _SHAPES = 6
 """Polygons in a photo."""
@@ -97,20 +96,22 @@ def drawn(
                 progress(number + 1, queries)
     rows = [_drawn_row(found) | {"photos": answered}, _points_row(held)]
     rows = [{**row, "of": Path(dem[0]).stem, "km2": square_km(area_m)} for row in rows]
-    options.print_rows(rows[:1], _DRAWN)
-    options.print_rows(rows[1:], _HELD)
+    options.print_tables(rows, _TABLES)
     write_record(record, rows, terrain=terrain, bounds_deg=area_deg)
 
 
-_DRAWN = """of km2 photos vertices=n within_2_sd in_95_%_ellipse median_off_m median_error_m grazing
-    shapes areas_within_2_sd median_area_off"""
-_HELD = """of km2 n wrong_named within_0.1_deg median_deg within_2_sd median_sd_deg"""
+_TABLES = {
+    "drawn": """of km2 photos vertices=n within_2_sd in_95_%_ellipse median_off_m median_error_m
+        grazing shapes areas_within_2_sd median_area_off""",
+    "control points": """of km2 n wrong_named within_0.1_deg median_deg within_2_sd
+        median_sd_deg""",
+}
+"""Columns of the printed tables, by what is measured."""
 
 
 def _matched(matcher: Matcher, query: SyntheticQuery) -> Pose | None:
     """Return the answer for a photo, its place known to some kilometres."""
-    lon, lat = matcher.frame.to_lonlat(query.truth.easting_m, query.truth.northing_m)
-    near = Narrowing(near=(float(lon), float(lat), _NEAR_KM))
+    near = Narrowing(near=(*query.truth.lonlat(matcher.frame), _NEAR_KM))
     return matcher.match(query.skyline, narrowing=near).answer
 
 
@@ -200,24 +201,18 @@ def _by_points(
     marked = np.stack([column[chosen], row[chosen]]) + rng.normal(0.0, 0.5, (2, _POINTS))
     wrong = int(rng.integers(_POINTS))
     marked[:, wrong] = (marked[:, wrong] + np.array(size) * rng.uniform(0.2, 0.8, 2)) % size
-    lon, lat = viewer.frame.to_lonlat(shown.easting_m[chosen], shown.northing_m[chosen])
+    places_deg = viewer.frame.to_lonlat(shown.easting_m[chosen], shown.northing_m[chosen])
     points = ControlPoints(
         path=Path("points.csv"),
         names=tuple(map(str, range(_POINTS))),
         column_px=marked[0],
         row_px=marked[1],
-        lon=lon,
-        lat=lat,
+        lon=places_deg[0],
+        lat=places_deg[1],
         elevation_m=shown.elevation_m[chosen],
     )
-    turn = rng.uniform(0.0, 2.0 * np.pi)
-    place = viewer.frame.to_lonlat(
-        query.truth.easting_m + BESIDE_M * np.sin(turn),
-        query.truth.northing_m + BESIDE_M * np.cos(turn),
-    )
-    known = KnownCamera.at(
-        viewer, photo, lon=float(place[0]), lat=float(place[1]), position_sd_m=BESIDE_M
-    )
+    lon, lat = map(float, viewer.frame.to_lonlat(*query.truth.beside_m(rng)))
+    known = KnownCamera.at(viewer, photo, lon=lon, lat=lat, position_sd_m=BESIDE_M)
     found = fit_points(viewer, photo, points, known, _EXACT)
     off_deg = float(angle_between_deg(found.pose.grid_heading_deg, query.truth.grid_heading_deg))
     is_named = found.wrong == (str(wrong),)

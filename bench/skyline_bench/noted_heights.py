@@ -8,7 +8,8 @@ ellipsoid as if it were above the sea.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any
+from pathlib import Path
+from typing import Any, SupportsFloat
 
 import numpy as np
 
@@ -22,8 +23,6 @@ from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M
 from skyline_bench.queries.synthetic import QueryConfig, Truth, make_queries
 
 MEASURED = "noted heights"
-BESIDE_M = 50.0
-"""Distance of the place that is given from the true one."""
 RIGHT_EYE_M = 30.0
 """Largest error of an eye's elevation that is right: three times the model's error."""
 HEIGHTS = """measured=queries group km2 n answered wrong lowest_m highest_m median_deg median_eye_m
@@ -34,14 +33,16 @@ _ALTITUDE_SD_M = 15.0
 _GEOID_M = 50.0
 """Height of the geoid above the ellipsoid in the Alps."""
 
-_Find = Callable[[PhotoSkyline, tuple[float, float]], Orientation]
-"""Orients a skyline at a longitude and a latitude."""
+LonLat = tuple[SupportsFloat, SupportsFloat]
+"""A longitude and a latitude, degrees."""
+Find = Callable[[Path | PhotoSkyline, LonLat], Orientation]
+"""Orients a photo or a skyline at a place."""
 _Tried = tuple[Truth, Orientation, float]
 """A photo's truth, how it was oriented, and the height of its eye above the ground."""
 
 
 def height_rows(
-    find: _Find,
+    find: Find,
     terrain: HeightField,
     seen: HeightField,
     area: Rectangle,
@@ -56,31 +57,25 @@ def height_rows(
     return [
         {"measured": MEASURED, "group": group}
         | _summary([_tried(find, terrain, seen, area, [seed, kind, one]) for one in range(count)])
-        for kind, group in enumerate(_GROUPS)
+        for kind, group in enumerate(NOTING)
     ]
 
 
 def _tried(
-    find: _Find, terrain: HeightField, seen: HeightField, area: Rectangle, entropy: list[int]
+    find: Find, terrain: HeightField, seen: HeightField, area: Rectangle, entropy: list[int]
 ) -> _Tried:
     """Make one photo that notes heights, and orient it."""
     rng = np.random.default_rng(entropy)
-    noting = list(_GROUPS.values())[entropy[1]]
+    noting = list(NOTING.values())[entropy[1]]
     height_m = DEFAULT_EYE_HEIGHT_M
     if noting is not _grounded:
         height_m = float(np.exp(rng.uniform(*np.log((40.0, 400.0)))))
     config = QueryConfig(eye_height_m=height_m)
     drawn = int(rng.integers(2**31))
     (query,) = make_queries(seen, area, 1, drawn, config)
-    lon, lat = map(float, terrain.frame.to_lonlat(*beside_m(query.truth, rng)))
+    lon, lat = map(float, terrain.frame.to_lonlat(*query.truth.beside_m(rng)))
     noted = replace(noting(terrain, query.truth, rng), lonlat_deg=(lon, lat))
     return query.truth, find(replace(query.skyline, noted=noted), (lon, lat)), height_m
-
-
-def beside_m(truth: Truth, rng: np.random.Generator) -> tuple[float, float]:
-    """Draw easting and northing of a place `BESIDE_M` beside a true one."""
-    off = BESIDE_M * np.exp(2j * np.pi * rng.uniform())
-    return truth.easting_m + off.real, truth.northing_m + off.imag
 
 
 def _of_drone(terrain: HeightField, truth: Truth, rng: np.random.Generator) -> NotedPlace:
@@ -104,7 +99,7 @@ def _grounded(_: HeightField, truth: Truth, rng: np.random.Generator) -> NotedPl
     return NotedPlace(elevation_m=truth.eye_elevation_m + off_m)
 
 
-_GROUPS = {"drones": _of_drone, "aloft": _aloft, "on the ground": _grounded}
+NOTING = {"drones": _of_drone, "aloft": _aloft, "on the ground": _grounded}
 """Kinds of photos, and the heights that they note."""
 
 

@@ -86,8 +86,8 @@ def _commands(
     trace = folder / "query.csv"
     write_trace(query.skyline, trace)
     fov = f"{query.given_fov_deg:.6g}"
-    lon, lat = terrain.frame.to_lonlat(query.truth.easting_m, query.truth.northing_m)
-    at = f"{float(lon):.6f},{float(lat):.6f}"
+    lon, lat = query.truth.lonlat(terrain.frame)
+    at = f"{lon:.6f},{lat:.6f}"
     west, south, east, north = box_m
     bounds = terrain.frame.box_deg(easting_m=[west, east], northing_m=[south, north])
     store = folder / "store.h5"

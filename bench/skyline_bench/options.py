@@ -189,6 +189,17 @@ def print_rows(rows: Sequence[Row], columns: str | None = None) -> None:
     _print(Console(width=wide), rows, columns)
 
 
+def print_tables(rows: Sequence[Row], columns: Mapping[str, str]) -> None:
+    """Print a table of each thing that is ``measured``, as rows name it.
+
+    ``columns`` are as in `print_rows`, by what is measured.
+    """
+    for measured, its_columns in columns.items():
+        some = [row for row in rows if row["measured"] == measured]
+        if some:
+            print_rows(some, its_columns)
+
+
 def table_text(rows: Sequence[Row], columns: str | None = None) -> str:
     """Return rows as text, as `print_rows` prints them."""
     text = io.StringIO()

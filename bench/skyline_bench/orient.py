@@ -7,12 +7,12 @@ places. Strangers are photos of other terrain, with any place given. `skyline_be
 makes photos that note heights.
 """
 
+import itertools
 import math
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated, Any, SupportsFloat
+from typing import Annotated, Any
 
 import numpy as np
 from PIL import Image
@@ -33,11 +33,11 @@ from skyline.terrain.provenance import DemOptions
 from skyline.terrain.viewpoints import at_elevation
 from skyline_bench import options
 from skyline_bench.measuring import Row, square_km
-from skyline_bench.noted_heights import BESIDE_M, HEIGHTS, MEASURED, beside_m, height_rows
-from skyline_bench.queries.kinds import STRANGERS, UNMARKED, make_kind, perturbed
+from skyline_bench.noted_heights import HEIGHTS, MEASURED, NOTING, Find, LonLat, height_rows
+from skyline_bench.queries.kinds import STRANGERS, UNMARKED, Query, make_kind, perturbed
 from skyline_bench.queries.made_photos import Scenery, distance_along, photograph
 from skyline_bench.queries.manifest import EXTRACT, LOCATE, Photograph, read_manifest
-from skyline_bench.queries.synthetic import SyntheticQuery, make_queries
+from skyline_bench.queries.synthetic import BESIDE_M, SyntheticQuery, make_queries
 from skyline_bench.records import write_record
 from skyline_bench.search.stores import middle_deg
 from skyline_bench.search.trials import ALL, groups
@@ -108,10 +108,7 @@ def orient(
             area_m = map_bounds(terrain, area_deg)
             rows = made_rows(orienter_at, terrain, other, area_m, queries, seed, progress)
     rows = [{"of": name, **row} for row in rows]
-    for measured, columns in _TABLES.items():
-        some = [row for row in rows if row["measured"] == measured]
-        if some:
-            options.print_rows(some, columns)
+    options.print_tables(rows, _TABLES)
     files = [file for one in wanted for file in one.files]
     write_record(record, rows, terrain=terrain, bounds_deg=area_deg, files=files)
 
@@ -147,48 +144,58 @@ def made_rows(
 
     Photos, strangers, labels, pixels and a webcam are made.
     """
-    seen = perturbed(terrain, seed=seed)
-    kinds = 2 + len(UNMARKED) + (strange is not None)
-    rng = np.random.default_rng(seed)
-    steps = kinds * count
+    few = -(-count // 10)
+    whole = 2 + len(UNMARKED) + (strange is not None)
+    steps, total = itertools.count(1), whole * count + len(NOTING) * few
     to_lonlat = terrain.frame.to_lonlat
-    held = list[_Held]()
-    for query in make_queries(seen, area, count, seed):
-        lonlat = to_lonlat(*beside_m(query.truth, rng))
-        held.append((query, _oriented(orienter_at, query.skyline, lonlat)))
-        progress(len(held), steps)
-    rows = _by_distance(terrain, held)
+
+    def find(query: Path | PhotoSkyline, lonlat: LonLat) -> Orientation:
+        found = _oriented(orienter_at, query, lonlat)
+        progress(next(steps), total)
+        return found
+
+    def refused(measured: str, group: str, given: Iterable[tuple[Query, LonLat]]) -> Row:
+        found = [figures_of(find(query.skyline, lonlat)) for (query,), lonlat in given]
+        return {"measured": measured, "group": group} | summarize(found, is_strange=True)
+
+    seen = perturbed(terrain, seed=seed)
+    rng = np.random.default_rng(seed)
+    held = [
+        (query, find(query.skyline, to_lonlat(*query.truth.beside_m(rng))))
+        for query in make_queries(seen, area, count, seed)
+    ]
+    rows: list[Row] = [*_by_distance(terrain, held)]
     for kind in UNMARKED:
-        found = list[Row]()
-        for (query,) in make_kind(kind, seen, area, count, seed + 3):
-            place = query.truth.easting_m, query.truth.northing_m
-            found.append(figures_of(_oriented(orienter_at, query.skyline, to_lonlat(*place))))
-            progress(len(held) + len(found), steps)
-        about = {"measured": "unmarked", "group": kind}
-        rows.append(about | summarize(found, is_strange=True))
+        made = make_kind(kind, seen, area, count, seed + 3)
+        true = ((query, query[0].truth.lonlat(terrain.frame)) for query in made)
+        rows.append(refused("unmarked", kind, true))
     if strange is not None:
-        found = list[Row]()
-        for (query,) in make_kind(STRANGERS, terrain, area, count, seed + 1, strange):
-            place = rng.uniform(area[0], area[2]), rng.uniform(area[1], area[3])
-            found.append(figures_of(_oriented(orienter_at, query.skyline, to_lonlat(*place))))
-            progress(count + len(found), steps)
-        about = {"measured": "strangers", "group": ALL}
-        rows.append(about | summarize(found, is_strange=True))
-    find = partial(_oriented, orienter_at)
-    # There is a photo of each kind that notes heights for ten others.
-    rows += height_rows(find, terrain, seen, area, -(-count // 10), seed)
-    own: list[Posed] = [(query, None) for query in make_queries(terrain, area, count, seed + 2)]
+        made = make_kind(STRANGERS, terrain, area, count, seed + 1, strange)
+        anywhere_m = ((rng.uniform(area[0], area[2]), rng.uniform(area[1], area[3])) for _ in made)
+        anywhere = (to_lonlat(*place_m) for place_m in anywhere_m)
+        rows.append(refused("strangers", ALL, zip(made, anywhere, strict=True)))
+    rows += height_rows(find, terrain, seen, area, few, seed)
+    rows += _sight_rows(terrain, seen, make_queries(terrain, area, count, seed + 2), held)
+    far = (query for query, _ in held if query.distance_m > 2000.0)
+    rows.append(webcam_row(find, terrain, seen, next(far, held[0][0]), count, seed))
+    return [{**row, "km2": square_km(area)} for row in rows]
+
+
+def _sight_rows(
+    terrain: HeightField, seen: HeightField, own: Sequence[SyntheticQuery], held: Sequence[_Held]
+) -> Iterator[Row]:
+    """Yield rows of summits' names and of pixels' places.
+
+    Photos show the model itself or another one, with true poses or with those found.
+    """
+    exact: list[Posed] = [(query, None) for query in own]
     given: list[Posed] = [(query, None) for query, _ in held]
     answered: list[Posed] = [(query, one.pose) for query, one in held if one.answer is not None]
     # Places in pixels are compared for one photo in ten: each takes seconds.
     for row_of, share in ((label_row, 1), (pixel_row, 10)):
-        for model, posed in ((terrain, own), (seen, given), (seen, answered)):
+        for model, posed in ((terrain, exact), (seen, given), (seen, answered)):
             if posed:
-                rows.append(row_of(terrain, model, posed[: -(-count // share)]))
-    far = (query for query, _ in held if query.distance_m > 2000.0)
-    camera = next(far, held[0][0])
-    webcam = webcam_row(orienter_at, terrain, seen, camera, count, seed, progress)
-    return [{**row, "km2": square_km(area)} for row in (*rows, webcam)]
+                yield row_of(terrain, model, posed[: -(-len(held) // share)])
 
 
 def figures_of(
@@ -247,13 +254,12 @@ def summarize(rows: Sequence[Row], *, is_strange: bool = False) -> dict[str, Any
 
 
 def webcam_row(
-    orienter_at: _OrienterAt,
+    find: Find,
     terrain: HeightField,
     seen: HeightField,
     query: SyntheticQuery,
     count: int,
     seed: int,
-    progress: Progress,
 ) -> Row:
     """Return how steady the headings of a fixed camera's frames are.
 
@@ -280,8 +286,7 @@ def webcam_row(
             file = Path(folder) / f"{number:04}.jpg"
             frame = photograph(renderer, eyes, 0, camera, seed + number, scenery)
             Image.fromarray(frame).save(file, quality=92)
-            found.append(_oriented(orienter_at, file, lonlat))
-            progress(number, count)
+            found.append(find(file, lonlat))
     answered = np.array([one.answer is not None for one in found])
     clear = [one.pose for one, is_clear in zip(found, answered & ~fog, strict=True) if is_clear]
     off_deg = (
@@ -309,7 +314,7 @@ def webcam_row(
 def _oriented(
     orienter_at: _OrienterAt,
     query: Path | PhotoSkyline,
-    lonlat: tuple[SupportsFloat, SupportsFloat],
+    lonlat: LonLat,
     elevation_m: float | None = None,
     fov_deg: float | None = None,
 ) -> Orientation:
@@ -331,11 +336,10 @@ def _oriented(
 
 def _by_distance(terrain: HeightField, held: Sequence[_Held]) -> list[dict[str, Any]]:
     """Return rows of made photos, by distance and of those sharply held."""
-    figures = []
-    for query, found in held:
-        place_m = {"easting_m": query.truth.easting_m, "northing_m": query.truth.northing_m}
-        north_deg = query.truth.grid_heading_deg + float(terrain.frame.convergence_deg(**place_m))
-        figures.append(figures_of(found, north_deg, query.truth.fov_deg))
+    figures = [
+        figures_of(found, query.truth.heading_deg(terrain.frame), query.truth.fov_deg)
+        for query, found in held
+    ]
     members = dict(groups([query.distance_m for query, _ in held], by_thirds=False))
     sharp = [number for number, one in enumerate(figures) if one["sd_deg"] <= SHARP_DEG]
     members |= {f"sd <= {SHARP_DEG:g}": sharp} if sharp else {}

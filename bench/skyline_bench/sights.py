@@ -18,13 +18,12 @@ from skyline.geodesy.earth import Curvature
 from skyline.terrain.summits import SUMMIT_RADIUS_M
 from skyline.view.peaks import Peaks
 from skyline_bench.measuring import window_of
+from skyline_bench.queries.kinds import HEIGHT_SD_M
 from skyline_bench.queries.synthetic import SyntheticQuery, Truth
 
 Posed = tuple[SyntheticQuery, Pose | None]
 """A made photo, and the pose that was found for it; None stands for the true one."""
 
-HEIGHT_SD_M = 10.0
-"""Error of the model that other photos see."""
 _EXACT = ((0.0,) * 7,) * 7
 """Covariance of a true pose."""
 _EACH_PX = 24
@@ -130,11 +129,9 @@ def true_pose(viewer: Viewer, truth: Truth) -> Pose:
 
     Its eye stands on the ground or above.
     """
-    place_m = {"easting_m": truth.easting_m, "northing_m": truth.northing_m}
-    north_deg = float(viewer.frame.convergence_deg(**place_m))
-    lon, lat = map(float, viewer.frame.to_lonlat(truth.easting_m, truth.northing_m))
+    lon, lat = truth.lonlat(viewer.frame)
     held = {name: getattr(truth, name) for name in ("pitch_deg", "roll_deg", "fov_deg")}
-    pose = viewer.pose(lon=lon, lat=lat, heading_deg=truth.grid_heading_deg + north_deg, **held)
+    pose = viewer.pose(lon=lon, lat=lat, heading_deg=truth.heading_deg(viewer.frame), **held)
     return replace(pose, eye_elevation_m=truth.eye_elevation_m, covariance=_EXACT)
 
 

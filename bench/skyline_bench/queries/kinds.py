@@ -28,6 +28,8 @@ from skyline_bench.queries.synthetic import (
 Query = tuple[SyntheticQuery, ...]
 """The photos of one place."""
 
+HEIGHT_SD_M = 10.0
+"""Root mean square of the errors of another model of the terrain."""
 PHOTOS = 3
 """Photos of one place, where there are several."""
 _CORRELATION_M = 300.0
@@ -114,7 +116,9 @@ def distance_m(query: Query) -> float:
     return float(np.mean(np.nan_to_num([photo.distance_m for photo in query])))
 
 
-def perturbed(terrain: HeightField, height_rms_m: float = 10.0, seed: int = 0) -> HeightField:
+def perturbed(
+    terrain: HeightField, height_rms_m: float = HEIGHT_SD_M, seed: int = 0
+) -> HeightField:
     """Add smooth random errors to the heights.
 
     The errors have the given root mean square over the whole field.

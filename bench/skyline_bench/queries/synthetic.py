@@ -18,7 +18,7 @@ from skyline.arrays import Float64Array, IntArray
 from skyline.camera.projection import Projection
 from skyline.camera.warps import distorted
 from skyline.errors import InputError
-from skyline.geodesy.map_frame import Rectangle
+from skyline.geodesy.map_frame import Frame, Rectangle
 from skyline.match.rays import Rays
 from skyline.photo.skyline import PhotoSkyline
 from skyline.render.horizon import PanoramaRenderer
@@ -27,6 +27,8 @@ from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, stand_on
 from skyline_bench.queries.pinhole import PIN_HOLE, Camera
 
+BESIDE_M = 50.0
+"""Distance of the place that is given from the true one, where a place is given."""
 _MAX_DRAWS = 10_000
 """Draws of a place before an area counts as a hole."""
 _POSE, _ERRORS, _MASKS, _OCCLUDERS, _LENS, _MAPPING = range(6)
@@ -116,6 +118,21 @@ class Truth:
     roll_deg: float
     fov_deg: float  # Of the pin-hole camera, before the distortion
     distortion: float = 0.0
+
+    def lonlat(self, frame: Frame) -> tuple[float, float]:
+        """Return the longitude and the latitude of the place."""
+        lon, lat = frame.to_lonlat(self.easting_m, self.northing_m)
+        return float(lon), float(lat)
+
+    def heading_deg(self, frame: Frame) -> float:
+        """Return the heading from true north."""
+        place_m = {"easting_m": self.easting_m, "northing_m": self.northing_m}
+        return self.grid_heading_deg + float(frame.convergence_deg(**place_m))
+
+    def beside_m(self, rng: np.random.Generator) -> tuple[float, float]:
+        """Draw easting and northing of a place `BESIDE_M` beside this one."""
+        off = BESIDE_M * np.exp(2j * np.pi * rng.uniform())
+        return self.easting_m + off.real, self.northing_m + off.imag
 
     def off_m(self, easting_m: ArrayLike, northing_m: ArrayLike) -> Float64Array:
         """Return how far places are from this one, metres."""
