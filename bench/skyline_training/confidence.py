@@ -18,6 +18,7 @@ from scipy.optimize import minimize
 from skyline import MatchConfig
 from skyline.arrays import BoolArray, Float64Array
 from skyline.errors import InputError
+from skyline.files.disk import write_whole
 from skyline.match.confidence import Logistic, model_name
 from skyline.pose.pose import DISTANCES_M
 from skyline_bench.measuring import Row
@@ -104,9 +105,9 @@ def _figures(names: Iterable[str], examples: Sequence[Example]) -> dict[str, Flo
 
 
 def write_models(path: Path, models: Mapping[str, Logistic], about: Mapping[str, object]) -> None:
-    """Write models for `matching.confidence.models`, and what they were learned from."""
+    """Write models for `skyline.match.confidence`, and what they were learned from."""
     written = {"about": about, "models": models}
-    path.write_text(json.dumps(written, default=asdict) + "\n")
+    write_whole(path, json.dumps(written, default=asdict) + "\n")
 
 
 def calibration_error(sure: Float64Array, right: BoolArray) -> float:

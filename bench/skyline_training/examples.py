@@ -24,6 +24,7 @@ from skyline import Matcher, build_places, read_dem
 from skyline.angles import angle_between_deg
 from skyline.arrays import Float64Array
 from skyline.errors import InputError
+from skyline.files.disk import write_whole
 from skyline.geodesy.map_frame import Rectangle, in_rectangle
 from skyline.match import confidence
 from skyline.match.noted_errors import NOTED_ERRORS
@@ -41,7 +42,7 @@ from skyline.terrain.heightfield import HeightField
 from skyline.terrain.provenance import DemOptions
 from skyline_bench.measuring import middle_of
 from skyline_bench.queries.kinds import perturbed, resampled
-from skyline_bench.queries.made_photos import Scenery
+from skyline_bench.queries.made_photos import drawn_scenery
 from skyline_bench.queries.synthetic import QueryConfig, SyntheticQuery, make_queries
 from skyline_training.photos import draw_photo
 from skyline_training.workers import over_processes
@@ -230,15 +231,10 @@ def photographed(
     A query is left out if no skyline is found in its photograph.
     """
     rng = np.random.default_rng([seed, 2])
-    low_m, high_m = terrain.height_range_m
+    heights_m = terrain.height_range_m
     with DepthRenderer(terrain, _RENDERED_PX) as renderer:
         for query in queries:
-            scenery = Scenery(
-                visibility_m=float(np.exp(rng.uniform(np.log(15e3), np.log(200e3)))),
-                snow_line_m=float(rng.choice([np.inf, rng.uniform(low_m, high_m)])),
-                tree_line_m=float(rng.uniform(low_m, high_m)),
-                clouds=float(rng.uniform(0.0, 1.0)),
-            )
+            scenery = drawn_scenery(rng, (15e3, 200e3), heights_m, heights_m)
             image = draw_photo(renderer, query, int(rng.integers(1 << 31)), scenery)
             try:
                 skyline = extract_skyline(image)
@@ -385,4 +381,4 @@ def read_examples(path: Path) -> Examples:
 
 def write_examples(examples: Examples, path: Path) -> None:
     """Write examples, so that another model can be learned from them."""
-    path.write_text(json.dumps(examples, default=asdict))
+    write_whole(path, json.dumps(examples, default=asdict))

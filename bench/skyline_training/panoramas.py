@@ -19,7 +19,7 @@ from skyline.progress import Progress
 from skyline.render.depth import DepthRenderer
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints, stand_on
-from skyline_bench.queries.made_photos import Scenery, distance_along, scene_rgb
+from skyline_bench.queries.made_photos import distance_along, drawn_scenery, scene_rgb
 from skyline_bench.queries.manifest import LOCATE
 from skyline_training.landscapes import GROUND, SKY, Drawing, TrainingPhoto
 from skyline_training.photos import developed, stitch
@@ -60,12 +60,8 @@ def draw_panorama(
     if np.median(distance[row, np.arange(width)]) < _FAR_M:
         return None
     low, high = renderer.field.height_range_m
-    scenery = Scenery(
-        visibility_m=float(np.exp(rng.uniform(np.log(20e3), np.log(200e3)))),
-        snow_line_m=float(rng.choice([np.inf, rng.uniform(low, high)])),
-        tree_line_m=float(rng.uniform(low, 0.5 * (low + high))),
-        clouds=float(rng.uniform(0.1, 1.0)),
-    )
+    tree_line_m = low, 0.5 * (low + high)
+    scenery = drawn_scenery(rng, (20e3, 200e3), (low, high), tree_line_m, (0.1, 1.0))
     eye_m = float(viewpoint.easting_m[0]), float(viewpoint.northing_m[0])
     picture = scene_rgb(renderer, eye_m, rays, distance, is_ground.astype(float), scenery, rng)
     label = np.where(is_ground, GROUND, SKY).astype(np.uint8)

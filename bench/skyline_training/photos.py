@@ -19,7 +19,14 @@ from skyline.geodesy.map_frame import Frame
 from skyline.render.depth import DepthRenderer
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
-from skyline_bench.queries.made_photos import Scenery, distance_along, exposed, mixed, scene_rgb
+from skyline_bench.queries.made_photos import (
+    Scenery,
+    distance_along,
+    drawn_scenery,
+    exposed,
+    mixed,
+    scene_rgb,
+)
 from skyline_bench.queries.synthetic import Occluder, QueryConfig, SyntheticQuery, make_queries
 from skyline_training.covers import dark, put_in_front
 from skyline_training.landscapes import (
@@ -420,12 +427,8 @@ def draw_view(seed: tuple[int, ...], terrain_seed: int, size_px: tuple[int, int]
     rng = np.random.default_rng([13, *seed])
     terrain = _terrain(terrain_seed)
     bottom, top = terrain.height_range_m
-    scenery = Scenery(
-        visibility_m=float(np.exp(rng.uniform(np.log(8e3), np.log(300e3)))),
-        snow_line_m=float(rng.choice([np.inf, rng.uniform(bottom, top)])),
-        tree_line_m=float(rng.uniform(bottom - 0.3 * (top - bottom), top + 0.5 * (top - bottom))),
-        clouds=float(rng.uniform(0.0, 1.0)),
-    )
+    tree_line_m = bottom - 0.3 * (top - bottom), top + 0.5 * (top - bottom)
+    scenery = drawn_scenery(rng, (8e3, 300e3), (bottom, top), tree_line_m)
     width, height = size_px
     config = QueryConfig(
         fov_deg=(30.0, 90.0),

@@ -42,6 +42,25 @@ class Scenery:
     fog_m: float = np.inf  # Distance at which fog leaves 2 % of the contrast; it hides the sky too
 
 
+_Range = tuple[float, float]
+
+
+def drawn_scenery(
+    rng: np.random.Generator,
+    visibility_m: _Range,
+    snow_line_m: _Range,
+    tree_line_m: _Range,
+    clouds: _Range = (0.0, 1.0),
+) -> Scenery:
+    """Draw weather and season from ranges; there is no snow in half of them."""
+    return Scenery(
+        visibility_m=float(np.exp(rng.uniform(*np.log(visibility_m)))),
+        snow_line_m=float(rng.choice([np.inf, rng.uniform(*snow_line_m)])),
+        tree_line_m=float(rng.uniform(*tree_line_m)),
+        clouds=float(rng.uniform(*clouds)),
+    )
+
+
 def ground_rgb(
     field: HeightField,
     place_m: tuple[Float64Array, Float64Array],
