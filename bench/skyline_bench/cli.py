@@ -58,10 +58,11 @@ app = command_line(
 )
 for subject, commands in COMMANDS.items():
     for command, takes in commands.items():
-        summary = (inspect.getdoc(command) or "").splitlines()[0].rstrip(".")
+        about = inspect.getdoc(command) or ""
         app.command(
             command.__name__.replace("_", "-"),
-            short_help=f"{summary} ({takes}).",
+            help=f"{about}\n\nIt takes {takes} on 2 cores without a GPU.",
+            short_help=f"{about.splitlines()[0].rstrip('.')} ({takes}).",
             rich_help_panel=subject,
         )(command)
 

@@ -367,7 +367,11 @@ def store_durability(
     record: options.Record = None,
     quick: Annotated[bool, options.quick_with(builds=4, flips=5, cases=10)] = False,
 ) -> None:
-    """Builds killed at random instants, with workers too; bits flipped; files mutated."""
+    """Killed builds, flipped bits, mutated files of stores: what is lost.
+
+    Builds are killed at random instants, those by workers too. A flipped bit must be found, and a
+    mutated file must be read, or refused in one line.
+    """
     terrain = read_dem([dem])
     side_m = _QUICK_SIDE_M if quick else _SIDE_M
     area_deg = middle_deg(terrain, (side_m, side_m))
@@ -392,9 +396,10 @@ def input_fuzz(
     seed: options.Seed = 0,
     quick: Annotated[bool, options.quick_with(cases=10)] = False,
 ) -> None:
-    """Damaged DEMs, viewpoint lists, traces and images.
+    """Damaged input files: how commands end on them.
 
-    Each must end with one line and exit code 2, or with an answer.
+    The files are DEMs, viewpoint lists, traces and images. Each command must end with one line and
+    exit code 2, or with an answer.
     """
     rows: list[Row] = []
     for row in _damaged_files(cases, seed):

@@ -20,7 +20,7 @@ from skyline.render.depth import DepthRenderer
 from skyline.report.match_page import report_matches
 from skyline.survey.plans import map_bounds
 from skyline_bench import options
-from skyline_bench.documents.drawn import (
+from skyline_bench.documents.diagrams import (
     draw_folder,
     found_diagram,
     save_diagram,

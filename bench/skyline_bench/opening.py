@@ -44,7 +44,7 @@ def opening(
     quick: Annotated[bool, options.quick_with(side_km=2.0, rounds=1)] = False,
     crs: options.Crs = None,
 ) -> None:
-    """One answer in a new process: a DEM's first, and the next.
+    """Seconds of an answer in a new process: a DEM's first, and the next.
 
     Before the first run of `horizon` and `orient` nothing is known of the DEM; `match` searches a
     store of the DEM's middle, whose build has read it. The trace is a synthetic query's. Files stay

@@ -85,12 +85,12 @@ def orient(
     quick: Annotated[bool, options.quick_with(queries=4)] = False,
     crs: options.Crs = None,
 ) -> None:
-    """How cameras stood at known places.
+    """Headings at known places: how many are answered, and how well.
 
-    Photographs are oriented, or else made photos, with summits' names and pixels'
-    places in them, and frames of a webcam. docs/howto/comparing-grids.md has the
-    columns of a manifest. Places are given to 50 m. In the tables, n is the number
-    of photos, photographs or frames, and km2 the area from which made photos come.
+    Photographs are oriented, or else made photos, with summits' names and pixels' places in them,
+    and frames of a webcam. docs/howto/comparing-grids.md has the columns of a manifest. Places are
+    given to 50 m. In the tables, n is the number of photos, photographs or frames, and km2 the area
+    from which made photos come.
     """
     name = photos.stem if photos else Path(dem[0]).stem
     wanted = [one for one in read_manifest(photos) if one.kind != EXTRACT] if photos else []

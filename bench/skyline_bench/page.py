@@ -114,9 +114,9 @@ def page(
     record: options.Record = None,
     quick: options.Quick = False,
 ) -> None:
-    """The page in a browser: start, strokes and the live skyline.
+    """Waiting times of the page: its start, strokes, the live skyline.
 
-    The strokes are on a photo of 12 megapixels.
+    The page is in a browser, and the strokes are on a photo of 12 megapixels.
     """
     chrome, driver = headless()
     from selenium.webdriver import Chrome  # noqa: PLC0415  (an extra)

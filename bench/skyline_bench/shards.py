@@ -60,7 +60,9 @@ def shards(
     quick: Annotated[bool, options.quick_with(places=2000, km2=[2e4])] = False,
     crs: options.Crs = None,
 ) -> None:
-    """A photo screened and fitted by one process, and by workers.
+    """Seconds and memory of a search by one process, and by workers.
+
+    A photo is screened and fitted.
 
     Each worker has a part of the places, and one is killed in the last round. Answers are compared
     to the bit. Refinement, which does not grow with the area, is left out. Processor time does not

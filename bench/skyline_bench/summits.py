@@ -128,7 +128,10 @@ def summits(
     quick: options.Quick = False,
     crs: options.Crs = None,
 ) -> None:
-    """Summits of a DEM's file and surface, and horizons."""
+    """Summits of a DEM's surface: heights, sights and horizons.
+
+    The surface is compared with the file, and with a plain bilinear one.
+    """
     terrain = read_dem(dem, DemOptions(crs=crs))
     rows = measure(dem, terrain, crs, QUICK if quick else SummitsConfig())
     columns = """surface spacing_m km2 summits=n lowest_m highest_m summits_off sights

@@ -36,6 +36,10 @@ def test_short_ones_write_their_rows(run_bench, dem, tmp_path, command, rows, ke
     assert all(row[key] >= 0.0 for row in written["rows"])
 
 
+def test_the_help_of_a_command_says_how_long_it_takes(run_bench):
+    assert "It takes 2 minutes on 2 cores without a GPU." in run_bench("table1", "--help").ok().out
+
+
 def test_help_fills_the_lines_that_a_docstring_breaks(run_bench):
     shown = run_bench("placing", "--help").ok().out
     paragraph = shown[shown.index("The claimed loss") : shown.index("Stores that are named")]

@@ -29,6 +29,7 @@ from skyline_bench.search.trials import (
     by_planner,
     gain_points,
 )
+from skyline_bench.truth.agreement import PIXEL_TAN
 
 # --- skylines -------------------------------------------------------------------------------
 
@@ -121,7 +122,7 @@ def _degrees(error_px: float) -> float:
 
     The view has 640 columns.
     """
-    return float(np.degrees(np.arctan(error_px / 320.0)))
+    return float(np.degrees(np.arctan(error_px * PIXEL_TAN)))
 
 
 # --- the paper ------------------------------------------------------------------------------

@@ -223,10 +223,10 @@ def measure(path: RenderPath, case: HardCase, quick: bool = False) -> Row:
 
 
 def stability(record: options.Record = None, quick: options.Quick = False) -> None:
-    """Each hard case, by all renderers that have a bound for it.
+    """Hard cases of rendering: the error of each, and its bound.
 
-    The exit code is 1 if a case fails. n is the number of columns that are
-    compared.
+    Each is rendered by all renderers that have a bound for it. The exit code is 1 if a case fails.
+    n is the number of columns that are compared.
     """
     rows: list[Row] = []
     asked = [
