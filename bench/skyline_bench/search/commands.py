@@ -23,7 +23,7 @@ from skyline_bench import options
 from skyline_bench.measuring import Row
 from skyline_bench.options import Floats, Names
 from skyline_bench.queries import kinds
-from skyline_bench.records import write_record
+from skyline_bench.records import Run, write_record
 from skyline_bench.search import trials
 from skyline_bench.search.comparison import Comparison
 from skyline_bench.search.stores import UNIFORM, BuiltStore, StoreSpec, middle_deg
@@ -190,6 +190,29 @@ COMPARISONS: Mapping[str, Comparison] = {
 }
 
 
+def _report(
+    record: Run | None,
+    comparison: Comparison,
+    rows: Sequence[Row],
+    built: Sequence[BuiltStore],
+    terrain: HeightField,
+) -> None:
+    """Print the tables of a comparison, and write its record."""
+    options.print_rows(comparison.shown(rows), comparison.columns)
+    summary = {}
+    if comparison.holds_plans_to_grids:
+        summary["against_equal"] = trials.against_equal(rows)
+        options.print_rows(summary["against_equal"], AGAINST_EQUAL)
+    write_record(
+        record,
+        rows,
+        summary,
+        terrain=terrain,
+        bounds_deg=comparison.area_deg(),
+        stores={one.spec.name: one.digest for one in built},
+    )
+
+
 def command_of(name: str, comparison: Comparison) -> Callable[..., None]:
     """Return the command of a comparison.
 
@@ -289,19 +312,7 @@ def command_of(name: str, comparison: Comparison) -> Callable[..., None]:
                 rows = _with_losses(rows, built)
         if strange:
             rows = [{**row, "strange": [Path(path).name for path in strange]} for row in rows]
-        options.print_rows(comparison.shown(rows), comparison.columns)
-        summary = {}
-        if comparison.holds_plans_to_grids:
-            summary["against_equal"] = trials.against_equal(rows)
-            options.print_rows(summary["against_equal"], AGAINST_EQUAL)
-        write_record(
-            record,
-            rows,
-            summary,
-            terrain=terrain,
-            bounds_deg=asked.area_deg(),
-            stores={one.spec.name: one.digest for one in built},
-        )
+        _report(record, asked, rows, built, terrain)
 
     command.__name__ = name
     command.__doc__ = (

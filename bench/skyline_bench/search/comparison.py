@@ -1,9 +1,9 @@
 """A comparison of matchers and stores by the same queries."""
 
 import math
-from collections.abc import Container, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import product
+from itertools import count, product
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +19,7 @@ from skyline.survey.plans import map_bounds
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.measuring import Row, square_km
 from skyline_bench.queries import kinds
+from skyline_bench.queries.kinds import Query
 from skyline_bench.queries.synthetic import Truth
 from skyline_bench.search import trials
 from skyline_bench.search.stores import BuiltStore, StoreSpec, equal_grid
@@ -139,52 +140,66 @@ class Comparison:
         not it is an answer. A query without any candidate counts as wrong by half of the area's
         diagonal. Only right candidates have heading errors.
         """
-        bounds_deg = self.area_deg()
         stores = self._built(terrain, folder, progress)
-        area_m = map_bounds(terrain, bounds_deg)
-        whole_km2 = self.whole_km2(terrain)
+        area_m = map_bounds(terrain, self.area_deg())
         miss_m = math.hypot(area_m[2] - area_m[0], area_m[3] - area_m[1]) / 2.0
-        areas = {f"{km2:g} km2": km2 for km2 in sorted(self.areas_km2)}
-        areas[trials.ALL] = whole_km2
         queries = {
             kind: kinds.make_kind(kind, terrain, area_m, self.queries, self.seed, strange)
             for kind in self.kinds
         }
-        numbers = [(kind, index) for kind, some in queries.items() for index in range(len(some))]
         rows = list[Row]()
         for store, matcher in product(stores, self.matchers):
             if trials.searched_by(matcher) != store.holds:
                 continue
-            # Only the full matcher can narrow its search.
-            searched = areas if store.holds == PLACES else {trials.ALL: whole_km2}
-            keys = [(*number, area) for number in numbers for area in searched]
-            found = dict[tuple[str, int, str], trials.Trial]()
-            with trials.open_matcher(matcher, store.path, terrain) as opened:
-                for kind, index, area in keys:
-                    query = queries[kind][index]
-                    is_strange = kind == kinds.STRANGERS
-                    narrowing = None
-                    if area != trials.ALL and not is_strange:
-                        truth = query[0].truth
-                        narrowing = _square(truth, areas[area], area_m, terrain, self.seed)
-                    trial = trials.tried(
-                        opened,
-                        store.path,
-                        query,
-                        narrowing,
-                        strange=is_strange,
-                        with_posterior=self.with_posteriors,
-                    )
-                    found[kind, index, area] = trial
-                    progress(len(found), len(keys))
-            for kind, area in product(queries, searched):
-                about = {"matcher": matcher, "queries": kind, "search": area, "km2": areas[area]}
+            km2 = self._searched_km2(store, square_km(area_m))
+            found = self._trials(store, matcher, queries, km2, terrain, progress)
+            for (kind, area), some in found.items():
+                about = {"matcher": matcher, "queries": kind, "search": area, "km2": km2[area]}
                 away_m = [kinds.distance_m(one) for one in queries[kind]]
                 for group, members in trials.groups(away_m, self.by_thirds).items():
-                    some = [found[kind, index, area] for index in members]
-                    figures = trials.summarize(some, miss_m, self.seed)
+                    figures = trials.summarize([some[k] for k in members], miss_m, self.seed)
                     rows.append({**about, "group": group, **figures, **store.figures})
         return rows, stores
+
+    def _searched_km2(self, store: BuiltStore, whole_km2: float) -> dict[str, float]:
+        """Return the sizes of the areas that are searched in a store, by name.
+
+        Only the full matcher can narrow its search.
+        """
+        parts_km2 = sorted(self.areas_km2) if store.holds == PLACES else ()
+        return {f"{km2:g} km2": km2 for km2 in parts_km2} | {trials.ALL: whole_km2}
+
+    def _trials(
+        self,
+        store: BuiltStore,
+        matcher: str,
+        queries: Mapping[str, Sequence[Query]],
+        searched_km2: Mapping[str, float],
+        terrain: HeightField,
+        progress: Progress,
+    ) -> dict[tuple[str, str], list[trials.Trial]]:
+        """Search a store for all queries; return trials by kind and area."""
+        area_m = map_bounds(terrain, self.area_deg())
+        found = {key: list[trials.Trial]() for key in product(queries, searched_km2)}
+        asked = [(kind, query) for kind, some in queries.items() for query in some]
+        steps = count(1)
+        with trials.open_matcher(matcher, store.path, terrain) as opened:
+            for (kind, query), (area, km2) in product(asked, searched_km2.items()):
+                is_strange = kind == kinds.STRANGERS
+                narrowing = None
+                if area != trials.ALL and not is_strange:
+                    narrowing = _square(query[0].truth, km2, area_m, terrain, self.seed)
+                trial = trials.tried(
+                    opened,
+                    store.path,
+                    query,
+                    narrowing,
+                    strange=is_strange,
+                    with_posterior=self.with_posteriors,
+                )
+                found[kind, area].append(trial)
+                progress(next(steps), len(asked) * len(searched_km2))
+        return found
 
 
 def _square(
