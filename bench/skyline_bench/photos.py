@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from PIL import Image
@@ -229,25 +229,30 @@ def _extracted(one: Photograph) -> Measured:
         skyline = replace(skyline, eye_height_m=one.given_eye_height_m)
     true_px = one.true_row_px(skyline.width_px, skyline.height_px)
     if true_px is not None:
-        trusted, right, _, known = count_columns(skyline, true_px)
+        columns = count_columns(skyline, true_px)
         figures |= {
-            "right_columns": right / trusted if trusted else None,
-            "found_columns": right / max(known, 1),
+            "right_columns": columns.right / columns.trusted if columns.trusted else None,
+            "found_columns": columns.right / max(columns.known, 1),
         }
     return Measured(one, figures, skyline, true_px)
 
 
-def count_columns(skyline: PhotoSkyline, true_px: Float64Array) -> tuple[int, int, int, int]:
-    """Count the columns with a true skyline.
+class ColumnCounts(NamedTuple):
+    """Numbers of columns with a true skyline."""
 
-    The counts are of the trusted ones, of the right and the far ones among these, and of all. A
-    column is right within 1 % of the photo's height, and far beyond 3 %.
-    """
+    trusted: int
+    right: int  # Trusted ones within 1 % of the photo's height
+    far: int  # Trusted ones that are off by more than 3 %
+    known: int  # All
+
+
+def count_columns(skyline: PhotoSkyline, true_px: Float64Array) -> ColumnCounts:
+    """Count the columns with a true skyline."""
     known = np.isfinite(true_px)
     off = np.abs(skyline.row_px - true_px)[known & skyline.trusted] / skyline.height_px
     right = int((off <= 0.01).sum())
     far = int((off > 0.03).sum())
-    return off.size, right, far, int(known.sum())
+    return ColumnCounts(off.size, right, far, int(known.sum()))
 
 
 def _located(one: Photograph, matcher: Matcher, viewer: Viewer, use_gps: bool) -> Measured:
@@ -439,7 +444,7 @@ def sky_masks(
     options.report(record, rows, columns)
 
 
-def _columns(photo: Photograph) -> tuple[int, int, int, int]:
+def _columns(photo: Photograph) -> ColumnCounts:
     """Return the figures of `count_columns`.
 
     If the photo is refused, no column is trusted.
@@ -449,4 +454,5 @@ def _columns(photo: Photograph) -> tuple[int, int, int, int]:
         return count_columns(measured.skyline, measured.row_px)
     with Image.open(photo.photo) as picture:
         true_px = photo.true_row_px(*picture.size)
-    return 0, 0, 0, 0 if true_px is None else int(np.isfinite(true_px).sum())
+    known = 0 if true_px is None else int(np.isfinite(true_px).sum())
+    return ColumnCounts(trusted=0, right=0, far=0, known=known)
