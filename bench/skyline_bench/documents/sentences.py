@@ -131,10 +131,25 @@ def _durability(results: Results) -> list[str]:
     return counts(*killed, *flipped, ended, sum(row["cases"] for row in mutated))
 
 
+def _store_size(row: Row) -> list[str]:
+    """Return the km2, the places and the GB of a large store."""
+    return [*counts(row["km2"], row["places"]), f"{row['bytes'] / 1e9:.2f}"]
+
+
 def _large_store(results: Results) -> list[str]:
     row = _plain(results, "matching_california")
-    apart_m = np.sqrt(1e6 * row["km2"] / row["places"])
-    return [*counts(row["km2"], row["places"]), f"{row['bytes'] / 1e9:.2f}", *counts(apart_m)]
+    return [*_store_size(row), *counts(np.sqrt(1e6 * row["km2"] / row["places"]))]
+
+
+def _tiles_found(results: Results) -> list[str]:
+    row = _plain(results, "matching_tiles")
+    shares = "within_200m", "within_1km", "answered"
+    return counts(row["n"], *(number_of(row, share) for share in shares))
+
+
+def _tiles_seconds(results: Results) -> list[str]:
+    seconds = [row["seconds"] for row in results.rows("photos_california_tiles")]
+    return counts(min(seconds), max(seconds), np.median(seconds))
 
 
 def _held_places(results: Results) -> list[str]:
@@ -265,6 +280,16 @@ SENTENCES: Mapping[str, Sequence[Sentence]] = {
             "of California (3 arc-seconds, {} km2), as `build` does by default. It has {} planned "
             "places and {} GB; the places lie {} m apart in the mean",
             _large_store,
+        ),
+        Sentence(
+            "40 tiles of California and Nevada, {} km2 with a part of sea, has {} planned places "
+            "and {} GB",
+            lambda results: _store_size(_plain(results, "matching_tiles")),
+        ),
+        Sentence("each in {} to {} s beside another process, in {} s in", _tiles_seconds),
+        Sentence(
+            "Of {} plain queries {} were found within 200 m and {} within 1 km; {} were answered",
+            _tiles_found,
         ),
         Sentence(
             "is rendered in {} GB of memory",
