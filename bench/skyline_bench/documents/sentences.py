@@ -282,6 +282,10 @@ SENTENCES: Mapping[str, Sequence[Sentence]] = {
             _large_store,
         ),
         Sentence(
+            "of processor time for each; this one takes {} s",
+            lambda results: counts(_plain(results, "matching_california")["query_cpu_s"]),
+        ),
+        Sentence(
             "40 tiles of California and Nevada, {} km2 with a part of sea, has {} planned places "
             "and {} GB",
             lambda results: _store_size(_plain(results, "matching_tiles")),
