@@ -1,6 +1,5 @@
 """The command line of benchmarks: ``skyline-bench COMMAND``."""
 
-import inspect
 from collections.abc import Callable, Mapping
 from functools import partial
 
@@ -10,6 +9,7 @@ from skyline_bench import (
     durability,
     figures,
     opening,
+    options,
     orient,
     page,
     paper,
@@ -58,13 +58,7 @@ app = command_line(
 )
 for subject, commands in COMMANDS.items():
     for command, takes in commands.items():
-        about = inspect.getdoc(command) or ""
-        app.command(
-            command.__name__.replace("_", "-"),
-            help=f"{about}\n\nIt takes {takes} on 2 cores without a GPU.",
-            short_help=f"{about.splitlines()[0].rstrip('.')} ({takes}).",
-            rich_help_panel=subject,
-        )(command)
+        options.add_command(app, command, takes, subject)
 
 
 main = partial(run_app, app)

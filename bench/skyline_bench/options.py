@@ -1,9 +1,10 @@
 """Options, checks of outputs, and tables that the commands share."""
 
+import inspect
 import io
 import re
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
@@ -149,6 +150,22 @@ Folder = Annotated[
     Option(help="Keep stores here; those that are there are not built again.", callback=_kept_here),
 ]
 Crs = Annotated[str | None, Option(help="The DEM's CRS where its file has none, e.g. EPSG:32632.")]
+
+
+def add_command(
+    app: typer.Typer, command: Callable[..., None], takes: str, subject: str | None = None
+) -> None:
+    """Add a command with its docstring and the time it takes.
+
+    The time is on 2 cores without a GPU. Help lists the command under its subject.
+    """
+    about = inspect.getdoc(command) or ""
+    app.command(
+        command.__name__.replace("_", "-"),
+        help=f"{about}\n\nOn 2 cores without a GPU it takes {takes}.",
+        short_help=f"{about.splitlines()[0].rstrip('.')} ({takes}).",
+        rich_help_panel=subject,
+    )(command)
 
 
 @contextmanager

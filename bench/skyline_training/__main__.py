@@ -1,5 +1,6 @@
 """The command line of training: ``python -m skyline_training COMMAND``."""
 
+from collections.abc import Callable, Mapping
 from contextlib import closing
 from pathlib import Path
 from typing import Annotated
@@ -24,7 +25,8 @@ _QUICK_PLACES = 2_000
 """Places of each store of a quick run."""
 
 app = command_line(
-    "skyline_training", "Train the sky model and the confidence. Times are of 2 cores."
+    "skyline_training",
+    "Train the sky model and the confidence. Times are of 2 cores without a GPU.",
 )
 
 Terrains = Annotated[
@@ -33,18 +35,16 @@ Terrains = Annotated[
 ]
 
 
-@app.command("sky-model", short_help="The network that finds skylines in photos (on a GPU).")
 def sky_model(
     out: Annotated[Path, options.new_file("The model, ONNX zipped.", "--output", "-o")],
     minutes: Annotated[float, Option(help="Time to train for.")] = 9.0,
     seed: options.Seed = 1,
     quick: Annotated[bool, options.quick_with(minutes=0.01)] = False,
 ) -> None:
-    """Train the network that finds skylines in photos, and write it.
+    """The network that finds skylines in photos.
 
-    It learns from photographs that are drawn meanwhile on all cores. Skyline's own
-    network was trained for 8.5 minutes on an H200 GPU beside 16 cores; see
-    docs/accuracy.md.
+    It learns, on a GPU, from photographs that are drawn meanwhile on all cores. Skyline's own
+    network was trained for 8.5 minutes on an H200 beside 16 cores; see docs/accuracy.md.
     """
     try:
         from skyline_training import network  # noqa: PLC0415  (torch is an extra)
@@ -57,7 +57,6 @@ def sky_model(
     network.write_model(net, out)
 
 
-@app.command("panoramas", short_help="Panoramas of a DEM, to measure with (5 minutes).")
 def panoramas(
     dem: options.Dems,
     out: Annotated[Path, Option("--output", "-o", help="A folder for them and manifest.csv.")],
@@ -65,15 +64,14 @@ def panoramas(
     seed: options.Seed = 39,
     crs: options.Crs = None,
 ) -> None:
-    """Draw panoramas as phones make them.
+    """Panoramas of a DEM as phones make them, to measure with.
 
-    A manifest to measure them with is written, too.
+    They are drawn, and a manifest is written, too.
     """
     with Terminal().progress("panoramas") as progress:
         write_panoramas(read_dem(dem, DemOptions(crs=crs)), out, photos, seed, progress)
 
 
-@app.command("confidence", short_help="How far a match can be believed (1.5 hours).")
 def confidence(
     data: Terrains,
     queries: Annotated[int, Option(help="Of each of nine kinds, on each terrain.")] = 48,
@@ -88,10 +86,9 @@ def confidence(
     seed: options.Seed = 6000,
     quick: Annotated[bool, options.quick_with(queries=1)] = False,
 ) -> None:
-    """Learn the confidence of matches.
+    """The confidence of matches: how far they can be believed.
 
-    It is learned on Sierra, Rofental and Everest, and its reliability is shown on
-    Davos.
+    It is learned on Sierra, Rofental and Everest, and its reliability is shown on Davos.
     """
     if examples is not None and examples.exists():
         found = read_examples(examples)
@@ -109,7 +106,6 @@ def confidence(
         learning.save_reliability(plot, learned.shown)
 
 
-@app.command("orientation", short_help="How far a heading can be believed (half an hour).")
 def orientation(
     data: Terrains,
     queries: Annotated[int, Option(help="Of each of six kinds, on each terrain.")] = 45,
@@ -120,9 +116,9 @@ def orientation(
     seed: options.Seed = 100,
     quick: Annotated[bool, options.quick_with(queries=1)] = False,
 ) -> None:
-    """Learn how far headings at known places can be trusted.
+    """The confidence of headings at known places.
 
-    The reliability is shown on Davos.
+    It is learned as that of matches, and its reliability is shown on Davos.
     """
     with Terminal().progress("terrains") as progress:
         found = gather_headings(data, queries, seed, progress)
@@ -133,7 +129,17 @@ def orientation(
         learning.write_models(model, {ORIENTED: learned}, about)
 
 
-app.command("repeat", short_help="The command of a record once more, on the same data.")(repeat)
+COMMANDS: Mapping[Callable[..., None], str] = {
+    sky_model: "as long as --minutes says",
+    panoramas: "5 minutes",
+    confidence: "1.5 hours",
+    orientation: "half an hour",
+    repeat: "as long as its command",
+}
+"""Commands, and about how long each takes."""
+
+for command, takes in COMMANDS.items():
+    options.add_command(app, command, takes)
 
 
 if __name__ == "__main__":

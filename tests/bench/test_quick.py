@@ -1,7 +1,5 @@
 """``--quick`` makes defaults smaller and keeps what is asked for; tables say what they are of."""
 
-import json
-
 import pytest
 from commands import assert_refused, headings
 
@@ -10,13 +8,12 @@ from skyline_bench.search.commands import COMPARISONS
 
 
 @pytest.fixture
-def measured(run_bench, tmp_path):
+def measured(recorded):
     """Return a function that runs a benchmark with --quick, and gives rows and output."""
 
     def run(*command):
-        record = tmp_path / "record.json"
-        done = run_bench(*command, "--quick", "--json", record).ok()
-        return json.loads(record.read_text())["rows"], done.out
+        record, printed = recorded(*command, "--quick")
+        return record["rows"], printed
 
     return run
 

@@ -1,6 +1,5 @@
 """Stores x queries: built, searched, kept and counted."""
 
-import json
 from collections import Counter
 from functools import partial
 
@@ -29,16 +28,14 @@ from skyline_bench.search.trials import (
 
 
 @pytest.fixture
-def run(run_bench, dem, tmp_path):
+def run(recorded):
     """Return a function that runs a command and gives its record."""
 
     def run_command(command, *arguments):
-        record = tmp_path / "record.json"
-        done = run_bench(command, *arguments, "--json", record).ok()
-        written = json.loads(record.read_text())
-        assert written["bench"] == command
-        assert written["rows"][0]["store"] in done.out
-        return written
+        record, printed = recorded(command, *arguments)
+        assert record["bench"] == command
+        assert record["rows"][0]["store"] in printed
+        return record
 
     return run_command
 
