@@ -46,7 +46,7 @@ from .photo.strokes import StrokeKind as StrokeKind
 from .photo.trace import read_trace as read_trace
 from .photo.trace import write_trace as write_trace
 from .pose.noted_pose import NotedPose as NotedPose
-from .pose.pose import Ellipse as Ellipse
+from .pose.outlines import Ellipse as Ellipse
 from .pose.pose import Pose as Pose
 from .render.context import RenderThread as RenderThread
 from .render.horizon import RenderConfig as RenderConfig

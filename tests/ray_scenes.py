@@ -6,7 +6,7 @@ import numpy as np
 
 from skyline.camera.projection import Projection
 from skyline.match.rays import Rays
-from skyline.pose.pose import Poses
+from skyline.pose.poses import Poses
 from skyline.render.horizon import HorizonRenderer, RenderConfig
 from skyline_bench.queries.pinhole import Camera
 

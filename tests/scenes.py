@@ -9,7 +9,8 @@ from rasterio.io import MemoryFile
 from rasterio.transform import Affine, from_origin
 
 from skyline.geodesy.map_frame import Frame
-from skyline.pose.pose import Pose, Poses
+from skyline.pose.pose import Pose
+from skyline.pose.poses import Poses
 from skyline.render.depth import DepthRenderer
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import stand_on

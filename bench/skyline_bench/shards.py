@@ -31,7 +31,7 @@ from skyline.match.joined_shards import JoinedShards
 from skyline.match.rays import Rays
 from skyline.match.retrieval import Retriever
 from skyline.match.shard import LocalShard
-from skyline.pose.pose import Poses
+from skyline.pose.poses import Poses
 from skyline.store.layout import PLACES_A_CHUNK
 from skyline.store.mapped_places import PlaceMap
 from skyline.store.places import Places

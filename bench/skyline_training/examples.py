@@ -35,7 +35,8 @@ from skyline.photo.extract import extract_skyline
 from skyline.photo.frame import CROP
 from skyline.photo.noted_fov import CROP_SHARES, NOMINAL_SD
 from skyline.photo.skyline import Lens
-from skyline.pose.pose import SAME_VIEW_DEG, Poses
+from skyline.pose.pose import SAME_VIEW_DEG
+from skyline.pose.poses import Poses
 from skyline.progress import Progress
 from skyline.render.depth import DepthRenderer
 from skyline.terrain.heightfield import HeightField

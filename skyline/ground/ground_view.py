@@ -24,7 +24,7 @@ from skyline.arrays import BoolArray, Float64Array, Rows
 from skyline.camera.camera import Camera
 from skyline.errors import InputError
 from skyline.geodesy.earth import Curvature
-from skyline.pose.pose import ellipse_axes
+from skyline.pose.outlines import ellipse_axes
 from skyline.pose.pose_errors import EAST, NORTH, PIXEL_SD_PX, UP, Bearings
 from skyline.progress import Progress
 from skyline.terrain.heightfield import HeightField, ground_of, ground_slope

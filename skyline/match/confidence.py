@@ -34,13 +34,8 @@ from skyline.camera.levelling import level
 from skyline.match.likelihood import GREATEST_LOG_ODDS
 from skyline.match.rays import Rays
 from skyline.match.solver import TEMPERATURE
-from skyline.pose.pose import (
-    DISTANCES_M,
-    RIGHT_WITHIN_M,
-    ROUGHLY_WITHIN_M,
-    SAME_VIEW_DEG,
-    Poses,
-)
+from skyline.pose.pose import DISTANCES_M, RIGHT_WITHIN_M, ROUGHLY_WITHIN_M, SAME_VIEW_DEG
+from skyline.pose.poses import Poses
 
 FITTED = "fitted"
 """Stage of poses that were fitted without a search. Its models have only `pose_figures`, and are

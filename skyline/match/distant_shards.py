@@ -21,7 +21,7 @@ from skyline.match.prior import Prior
 from skyline.match.rays import Rays
 from skyline.match.screen import Alike, AlikePlaces, Screen, Turns
 from skyline.match.shard import LocalShard, Neighbours, Starts
-from skyline.pose.pose import Poses
+from skyline.pose.poses import Poses
 from skyline.progress import StepProgress, silent
 from skyline.store.layout import PLACES_A_CHUNK
 from skyline.store.mapped_places import PartOfPlaces, PlaceMap

@@ -20,7 +20,7 @@ import numpy as np
 from skyline.arrays import BoolArray, Float32Array, Float64Array, FloatArray
 from skyline.camera.levelling import near_level_changes
 from skyline.match.rays import REFERENCE_FOV_DEG, Rays
-from skyline.pose.pose import Poses
+from skyline.pose.poses import Poses
 from skyline.store.places import BINS, Places
 
 _HEADING, _PITCH, _ROLL, _LOG_SCALE, _EAST, _NORTH, _WANDER = range(7)

@@ -16,7 +16,7 @@ from skyline.match.prior import Prior
 from skyline.match.rays import Rays
 from skyline.match.screen import Alike, AlikePlaces, Screen, Turns
 from skyline.match.shard import Neighbours, Shard, Starts
-from skyline.pose.pose import Poses
+from skyline.pose.poses import Poses
 from skyline.progress import StepProgress, silent
 from skyline.store.places import Places
 

@@ -37,7 +37,8 @@ from skyline.photo.image import Picture
 from skyline.photo.read import named_skyline
 from skyline.photo.skyline import PhotoSkyline
 from skyline.plugins import load
-from skyline.pose.pose import ROUGHLY_WITHIN_M, Pose, Poses
+from skyline.pose.pose import ROUGHLY_WITHIN_M, Pose
+from skyline.pose.poses import Poses
 from skyline.progress import Progress, StepProgress, silent
 from skyline.render.context import Closeable, RenderThread
 from skyline.render.horizon import RenderConfig, RenderedScene

@@ -11,7 +11,8 @@ from skyline.match.prior import Prior
 from skyline.match.rays import Rays
 from skyline.match.screen import AlikePlaces
 from skyline.match.shard import Shard
-from skyline.pose.pose import Pose, Poses
+from skyline.pose.pose import Pose
+from skyline.pose.poses import Poses
 from skyline.progress import StepProgress, silent
 from skyline.render.horizon import RenderedScene
 from skyline.store.read import Store

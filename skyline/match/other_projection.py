@@ -31,8 +31,8 @@ from skyline.match.likelihood import GREATEST_LOG_ODDS
 from skyline.match.rays import Rays, in_runs, usual_distortion_sd
 from skyline.match.refine import Refinement
 from skyline.match.solver import ROUGH, TEMPERATURE, Fit
-from skyline.pose.pose import Poses
 from skyline.pose.pose_errors import LOG_SCALE, WARP
+from skyline.pose.poses import Poses
 
 
 @dataclass(frozen=True, slots=True)

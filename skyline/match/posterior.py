@@ -48,7 +48,8 @@ from skyline.geodesy.cell_grid import CellGrid
 from skyline.geodesy.map_frame import Frame
 from skyline.match.position_prior import PositionPrior
 from skyline.match.screen import AlikePlaces
-from skyline.pose.pose import RIGHT_WITHIN_M, ROUGHLY_WITHIN_M, Pose, Poses
+from skyline.pose.pose import RIGHT_WITHIN_M, ROUGHLY_WITHIN_M, Pose
+from skyline.pose.poses import Poses
 
 if TYPE_CHECKING:
     from xarray import DataArray

@@ -13,7 +13,7 @@ from skyline.geodesy.map_frame import Frame, Rectangle, in_rectangle
 from skyline.match.narrowing import Narrowing
 from skyline.match.position_prior import PositionPrior
 from skyline.photo.noted_place import NotedPlace
-from skyline.pose.pose import Poses
+from skyline.pose.poses import Poses
 from skyline.store.places import Places
 
 _FAR_M = 1e9

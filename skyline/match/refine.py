@@ -36,14 +36,9 @@ from skyline.match.solver import (
     Fit,
     Solver,
 )
-from skyline.pose.pose import (
-    DISTANCES_M,
-    RIGHT_WITHIN_M,
-    SAME_VIEW_DEG,
-    FitFigures,
-    Poses,
-)
+from skyline.pose.pose import DISTANCES_M, RIGHT_WITHIN_M, SAME_VIEW_DEG
 from skyline.pose.pose_errors import HEADING, LOG_SCALE, ROLL
+from skyline.pose.poses import FitFigures, Poses
 from skyline.progress import Step, StepProgress, silent
 from skyline.render.horizon import RenderedScene
 from skyline.skylines import joined_views

@@ -26,7 +26,7 @@ from skyline.match.prior import NOTHING_KNOWN, Prior
 from skyline.match.rays import REFERENCE_FOV_DEG, Rays
 from skyline.match.screen import Alike, AlikePlaces, Screen, turns_within
 from skyline.match.shard import Starts
-from skyline.pose.pose import Poses
+from skyline.pose.poses import Poses
 from skyline.progress import StepProgress, silent
 from skyline.store.places import Places
 

@@ -22,7 +22,8 @@ from skyline.match.retrieval import NoPlaceError, Retriever
 from skyline.match.screen import AlikePlaces
 from skyline.match.shard import LocalShard, Shard
 from skyline.match.together import JointRefinement
-from skyline.pose.pose import ROUGHLY_WITHIN_M, Pose, Poses
+from skyline.pose.pose import ROUGHLY_WITHIN_M, Pose
+from skyline.pose.poses import Poses
 from skyline.progress import Step, StepProgress, silent
 from skyline.render.horizon import RenderedScene
 from skyline.store.layout import PLACES

@@ -28,7 +28,7 @@ from skyline.match.screen import (
     rescored,
     screen_places,
 )
-from skyline.pose.pose import Poses
+from skyline.pose.poses import Poses
 from skyline.progress import Step, StepProgress, silent
 from skyline.store.mapped_places import PlaceSource
 from skyline.store.places import Places

@@ -22,8 +22,8 @@ from skyline.match.likelihood import (
 )
 from skyline.match.position_prior import PositionPrior
 from skyline.match.rays import Rays, thinned
-from skyline.pose.pose import Poses
 from skyline.pose.pose_errors import ASSUMED, EAST, HEADING, LOG_SCALE, NORTH, PITCH, ROLL, WARP
+from skyline.pose.poses import Poses
 from skyline.terrain.data_edge import DataEdge
 
 _ANGLE_SDS_DEG = np.array([0.03, 0.05, 0.08, 0.12, 0.2, 0.3, 0.5, 0.8])

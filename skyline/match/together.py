@@ -10,7 +10,8 @@ from skyline.match.curves import EYE_HEIGHT
 from skyline.match.likelihood import GREATEST_LOG_ODDS
 from skyline.match.refine import MOVES, Particles, Refinement, best_and_rivals, spread_m2
 from skyline.match.solver import TEMPERATURE
-from skyline.pose.pose import RIGHT_WITHIN_M, Poses
+from skyline.pose.pose import RIGHT_WITHIN_M
+from skyline.pose.poses import Poses
 
 _EYE = slice(EYE_HEIGHT + 1)
 """Columns of a state that all photos of one eye share."""

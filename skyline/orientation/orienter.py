@@ -48,8 +48,9 @@ from skyline.photo.image import Picture
 from skyline.photo.noted_place import NotedPlace
 from skyline.photo.read import named_skyline
 from skyline.photo.skyline import PhotoSkyline
-from skyline.pose.pose import Pose, Poses
+from skyline.pose.pose import Pose
 from skyline.pose.pose_errors import ANGLES, ASSUMED
+from skyline.pose.poses import Poses
 from skyline.render.context import Closeable
 from skyline.render.horizon import PanoramaRenderer, RenderConfig, RenderedScene
 from skyline.store.places import BINS, Places

@@ -37,7 +37,7 @@ from skyline.arrays import Complex128Array, Float32Array, Float64Array, IntArray
 from skyline.match.method import SearchMethod
 from skyline.match.prior import Prior
 from skyline.match.rays import Rays, on_bins
-from skyline.pose.pose import Poses
+from skyline.pose.poses import Poses
 from skyline.progress import StepProgress, silent
 from skyline.render.horizon import RenderedScene
 from skyline.skylines import (

@@ -46,7 +46,7 @@ from skyline.paper.curves import (
     plausible,
     ransac_maps,
 )
-from skyline.pose.pose import Poses
+from skyline.pose.poses import Poses
 
 
 @dataclass(frozen=True, slots=True)

@@ -33,7 +33,8 @@ from skyline.geodesy.map_frame import Frame
 from skyline.match.result import MatchResult, listed
 from skyline.photo.read import read_picture
 from skyline.photo.skyline import PhotoSkyline
-from skyline.pose.pose import COLUMNS, Ellipse, Pose, view_wedge_m
+from skyline.pose.outlines import Ellipse, view_wedge_m
+from skyline.pose.pose import COLUMNS, Pose
 from skyline.report.kml import add, add_polygon, kml_document, xml_bytes
 from skyline.store.read import Store
 

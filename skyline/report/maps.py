@@ -29,7 +29,8 @@ from skyline.errors import InputError
 from skyline.geodesy.bounds import degrees_in_words
 from skyline.geodesy.earth import EQUATOR_RADIUS_M
 from skyline.geodesy.map_frame import Frame
-from skyline.pose.pose import Ellipse, Pose, view_wedge_m
+from skyline.pose.outlines import Ellipse, view_wedge_m
+from skyline.pose.pose import Pose
 from skyline.report.labels import Label, UnnamedPeaks, labels_of
 from skyline.terrain.dem import Dem, read_dem
 from skyline.terrain.heightfield import HeightField

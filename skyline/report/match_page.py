@@ -16,7 +16,8 @@ from skyline.match.matcher import Matcher
 from skyline.match.result import MatchResult, listed
 from skyline.photo.read import read_picture
 from skyline.photo.skyline import PhotoSkyline
-from skyline.pose.pose import COLUMNS, Ellipse, Pose
+from skyline.pose.outlines import Ellipse
+from skyline.pose.pose import COLUMNS, Pose
 from skyline.report.exports import export_matches
 from skyline.report.figure_files import encode_figure
 from skyline.report.folder import CANDIDATES, check_report_folder

@@ -13,7 +13,7 @@ from skyline.match.narrowing import Narrowing
 from skyline.match.prior import Prior
 from skyline.match.refine import WHOLE, Refinement
 from skyline.match.together import JointRefinement
-from skyline.pose.pose import Poses
+from skyline.pose.poses import Poses
 from skyline.render.horizon import HorizonRenderer, RenderConfig
 from skyline.skylines import joined_views
 from skyline.terrain.heightfield import HeightField

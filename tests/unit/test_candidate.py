@@ -13,7 +13,7 @@ from shapely import MultiPolygon, Polygon
 
 from skyline.geodesy.antimeridian import lonlat_rings
 from skyline.geodesy.map_frame import Frame
-from skyline.pose.pose import Ellipse, view_wedge_m
+from skyline.pose.outlines import Ellipse, view_wedge_m
 
 MIDDLES = {
     "EPSG:32632": (11.8, 46.8),

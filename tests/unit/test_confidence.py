@@ -7,7 +7,8 @@ import pytest
 from ray_scenes import equally_trusted, poses
 
 from skyline.match import confidence
-from skyline.pose.pose import DISTANCES_M, FitFigures
+from skyline.pose.pose import DISTANCES_M
+from skyline.pose.poses import FitFigures
 
 AZIMUTH_RAD = np.linspace(-0.5, 0.5, 200)
 RAYS = equally_trusted(AZIMUTH_RAD, 0.1 * np.sin(9.0 * AZIMUTH_RAD), 60.0)

@@ -21,7 +21,8 @@ from skyline.match.prior import NOTHING_KNOWN, Prior
 from skyline.match.retrieval import Retriever
 from skyline.match.screen import AlikePlaces
 from skyline.match.shard import LocalShard
-from skyline.pose.pose import Ellipse, Poses
+from skyline.pose.outlines import Ellipse
+from skyline.pose.poses import Poses
 from skyline.report.posterior_files import write_posteriors
 
 SURE = candidate_at(

@@ -7,7 +7,7 @@ from skyline.geodesy.map_frame import Frame
 from skyline.match.narrowing import Narrowing
 from skyline.match.prior import Prior
 from skyline.photo.noted_place import NotedPlace
-from skyline.pose.pose import Poses
+from skyline.pose.poses import Poses
 
 FRAMES = [Frame.from_crs("EPSG:32632"), Frame.from_crs("EPSG:32633")]
 LON, LAT = 12.0, 46.5

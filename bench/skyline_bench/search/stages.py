@@ -20,7 +20,8 @@ from skyline.match.rays import Rays
 from skyline.match.screen import Alike, Screen, Turns
 from skyline.match.search import FullMatcher
 from skyline.match.shard import LocalShard, Starts
-from skyline.pose.pose import RIGHT_WITHIN_M, SAME_VIEW_DEG, Poses
+from skyline.pose.pose import RIGHT_WITHIN_M, SAME_VIEW_DEG
+from skyline.pose.poses import Poses
 from skyline.progress import StepProgress, silent
 from skyline.store.mapped_places import PlaceSource
 from skyline.store.read import open_store

@@ -20,7 +20,8 @@ from skyline.errors import InputError
 from skyline.match.config import MatchConfig
 from skyline.match.matcher import FULL
 from skyline.match.posterior import SHARES, Posterior
-from skyline.pose.pose import RIGHT_WITHIN_M, ROUGHLY_WITHIN_M, Poses
+from skyline.pose.pose import RIGHT_WITHIN_M, ROUGHLY_WITHIN_M
+from skyline.pose.poses import Poses
 from skyline.store.layout import PLACES, RENDERINGS
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.measuring import Row, timed
