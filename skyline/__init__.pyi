@@ -54,12 +54,12 @@ from .render.horizon import render_views as render_views
 from .report.exif_copy import write_located as write_located
 from .report.exports import export_matches as export_matches
 from .report.labels import UnnamedPeaks as UnnamedPeaks
-from .report.maps import ReliefTiles as ReliefTiles
 from .report.match_page import report_matches as report_matches
 from .report.overlay import draw_labels as draw_labels
 from .report.panorama import save_panorama as save_panorama
 from .report.panorama_view import PanoramaConfig as PanoramaConfig
 from .report.posterior_files import write_posteriors as write_posteriors
+from .report.relief_tiles import ReliefTiles as ReliefTiles
 from .sky.sun import Body as Body
 from .sky.sun import InSky as InSky
 from .sky.sun import Sky as Sky

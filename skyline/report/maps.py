@@ -1,8 +1,4 @@
-"""Maps over shaded relief: the candidates of a match, and tiles.
-
-Light falls from the north-west. A tile is a part of the Web Mercator map (EPSG:3857): 2**zoom tiles
-span the world, x counts from the west, y from the north.
-"""
+"""Maps over shaded relief: the candidates of a match, degrees, and true north."""
 
 from __future__ import annotations
 
@@ -10,29 +6,24 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-import cv2
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.offsetbox import AnchoredText
 from matplotlib.patches import Polygon
 from matplotlib.patheffects import withStroke
 from matplotlib.transforms import Bbox
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
-from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from skyline.angles import wrapped_deg
-from skyline.arrays import BoolArray, Float32Array, Float64Array, FloatArray, UInt8Array
-from skyline.errors import InputError
+from skyline.arrays import Float64Array
 from skyline.geodesy.bounds import degrees_in_words
-from skyline.geodesy.earth import EQUATOR_RADIUS_M
 from skyline.geodesy.map_frame import Frame
 from skyline.pose.outlines import Ellipse, view_wedge_m
 from skyline.pose.pose import Pose
 from skyline.report.labels import Label, UnnamedPeaks, labels_of
-from skyline.terrain.dem import Dem, read_dem
+from skyline.report.relief import relief, tint_range_m
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 from skyline.view.sightings import Sighting
@@ -41,24 +32,13 @@ _LEAST_SIDE_M = 2000.0
 """Least side of a candidate's map; the map of all candidates is at least twice as wide."""
 _WIDTH_IN = 5.8
 """Width of a map."""
-_TINTS = ("#7fa87a", "#a9bd8b", "#d3c79b", "#c4a983", "#b59f8d", "#d9d5d1", "#ffffff")
-"""Colours of heights, low to high."""
-TILE_PX = 256
-"""Pixels along a tile's side."""
-MAX_ZOOM = 20
-_CONTOURS_M = (10.0, 20.0, 50.0, 100.0, 200.0, 500.0)
-"""Intervals of contour lines, as on printed maps."""
-_RGB = 255.0 * LinearSegmentedColormap.from_list("heights", _TINTS)(np.arange(256))[:, :3]
-"""Colours (256, 3) from the lowest height to the highest."""
-_LIGHT = np.array([-0.5, 0.5, np.sqrt(0.5)], dtype=np.float32)
-"""Direction to the light (east, north, up): from the north-west, halfway up."""
 
 
 def overview_area(places: Sequence[Pose | Viewpoints], terrain: HeightField | None) -> Bbox:
     """Return the area around places that the terrain covers."""
-    easting = np.hstack([place.easting_m for place in places])
-    northing = np.hstack([place.northing_m for place in places])
-    return _area_around(easting, northing, 2.0 * _LEAST_SIDE_M, terrain)
+    easting_m = np.hstack([place.easting_m for place in places])
+    northing_m = np.hstack([place.northing_m for place in places])
+    return _area_around(easting_m, northing_m, 2.0 * _LEAST_SIDE_M, terrain)
 
 
 def detail_area(candidate: Pose, terrain: HeightField | None) -> Bbox:
@@ -74,18 +54,18 @@ def detail_area(candidate: Pose, terrain: HeightField | None) -> Bbox:
 
 
 def _area_around(
-    easting: Float64Array, northing: Float64Array, least_m: float, terrain: HeightField | None
+    easting_m: Float64Array, northing_m: Float64Array, least_m: float, terrain: HeightField | None
 ) -> Bbox:
     """Return the part of a square around places that terrain covers.
 
     The square is at least ``least_m`` wide, and leaves a fifth of its side free beyond the
     outermost places.
     """
-    widest = max(float(np.ptp(easting)), float(np.ptp(northing)))
-    half = max(widest / (1.0 - 2.0 * 0.2), least_m) / 2.0
-    east = float(easting.min() + easting.max()) / 2.0
-    north = float(northing.min() + northing.max()) / 2.0
-    area = Bbox.from_extents(east - half, north - half, east + half, north + half)
+    widest_m = max(float(np.ptp(easting_m)), float(np.ptp(northing_m)))
+    half_m = max(widest_m / (1.0 - 2.0 * 0.2), least_m) / 2.0
+    east_m = float(easting_m.min() + easting_m.max()) / 2.0
+    north_m = float(northing_m.min() + northing_m.max()) / 2.0
+    area = Bbox.from_extents(east_m - half_m, north_m - half_m, east_m + half_m, north_m + half_m)
     covered = area if terrain is None else Bbox.from_extents(*terrain.bounds_m)
     return Bbox.intersection(area, covered) or area
 
@@ -195,21 +175,20 @@ def draw_relief(axis: Axes, terrain: HeightField | None, area: Bbox) -> None:
     """
     axis.set_facecolor("#eef0ee")
     axis.set(xlim=(area.x0, area.x1), ylim=(area.y0, area.y1), aspect="equal")
-    heights = np.array(np.nan)
     if terrain is not None:
         pixel_m = max(terrain.spacing_m / 2.0, max(area.size) / 900)
         columns = 1 + int(area.width / pixel_m)
         rows = 1 + int(area.height / pixel_m)
         # Coordinates of the pixels' centres, and of one pixel beyond each side.
-        east = np.clip(area.x0 + pixel_m * np.arange(-0.5, columns + 1), area.x0, area.x1)
-        north = np.clip(area.y1 - pixel_m * np.arange(-0.5, rows + 1), area.y0, area.y1)
-        heights = terrain.height_at(easting_m=east, northing_m=north[:, np.newaxis])
-    if np.isnan(heights).all():
-        axis.add_artist(AnchoredText("no elevation data for relief", loc="lower right"))
-        return
-    picture = relief(heights.astype(np.float32), pixel_m, tint_range_m(heights))
-    extent = area.x0, area.x0 + columns * pixel_m, area.y1 - rows * pixel_m, area.y1
-    axis.imshow(picture, extent=extent, interpolation="bilinear", aspect="equal")
+        east_m = np.clip(area.x0 + pixel_m * np.arange(-0.5, columns + 1), area.x0, area.x1)
+        north_m = np.clip(area.y1 - pixel_m * np.arange(-0.5, rows + 1), area.y0, area.y1)
+        heights_m = terrain.height_at(easting_m=east_m, northing_m=north_m[:, np.newaxis])
+        if not np.isnan(heights_m).all():
+            picture = relief(heights_m.astype(np.float32), pixel_m, tint_range_m(heights_m))
+            extent = area.x0, area.x0 + columns * pixel_m, area.y1 - rows * pixel_m, area.y1
+            axis.imshow(picture, extent=extent, interpolation="bilinear", aspect="equal")
+            return
+    axis.add_artist(AnchoredText("no elevation data for relief", loc="lower right"))
 
 
 def draw_bearings(axis: Axes, frame: Frame, area: Bbox) -> None:
@@ -239,22 +218,22 @@ def _draw_degrees(axis: Axes, frame: Frame, area: Bbox) -> None:
     """Draw degrees along the borders, and their lines across the map."""
     points = 65
     along = np.linspace(0.0, 1.0, points)
-    easting = area.x0 + along * area.width
-    northing = area.y0 + along * area.height
-    lon, lat = frame.to_lonlat(*np.meshgrid(easting, northing))
+    easting_m = area.x0 + along * area.width
+    northing_m = area.y0 + along * area.height
+    lon, lat = frame.to_lonlat(*np.meshgrid(easting_m, northing_m))
     lon = wrapped_deg(lon, float(lon[points // 2, points // 2]))
     lines: dict[str, Any] = {"colors": "black", "linewidths": 0.4, "alpha": 0.35}
-    for degrees, place, edge, names, way in (
-        (lon, easting, lon[0], "EW", axis.set_xticks),
-        (lat, northing, lat[:, 0], "NS", axis.set_yticks),
+    for degrees, along_m, edge, letters, way in (
+        (lon, easting_m, lon[0], "EW", axis.set_xticks),
+        (lat, northing_m, lat[:, 0], "NS", axis.set_yticks),
     ):
         step = _nice_length(float(np.ptp(edge)) / 2.5)
         levels = step * np.arange(math.ceil(edge.min() / step), math.floor(edge.max() / step) + 1)
-        axis.contour(easting, northing, degrees, levels, **lines)
+        axis.contour(easting_m, northing_m, degrees, levels, **lines)
         order = np.argsort(edge)
-        ticks = np.interp(levels, edge[order], place[order])
+        ticks = np.interp(levels, edge[order], along_m[order])
         decimals = max(0, -math.floor(math.log10(step) + 1e-9))
-        way(ticks, [degrees_in_words(level, names, decimals) for level in levels])
+        way(ticks, [degrees_in_words(level, letters, decimals) for level in levels])
     axis.tick_params(axis="y", labelrotation=90.0)
     for label in axis.get_yticklabels():
         label.set_verticalalignment("center")
@@ -269,114 +248,3 @@ def _nice_length(length: float) -> float:
     return float(
         max(factor for factor in (1.0, 2.0, 5.0) if factor * power <= length * (1.0 + 1e-9)) * power
     )
-
-
-def relief(heights: Float32Array, pixel_m: float, range_m: tuple[float, float]) -> UInt8Array:
-    """Return shaded relief as RGBA (H, W, 4) uint8.
-
-    It is transparent where there is no height. ``heights`` (H + 2, W + 2), in metres, belong to the
-    picture's pixels, ``pixel_m`` apart, and to one pixel beyond each side; rows run south.
-    ``range_m`` has the heights of the lowest and the highest tint.
-    """
-    east = (heights[1:-1, 2:] - heights[1:-1, :-2]) / np.float32(2.0 * pixel_m)
-    north = (heights[:-2, 1:-1] - heights[2:, 1:-1]) / np.float32(2.0 * pixel_m)
-    up = 1.0 / np.sqrt(1.0 + east**2 + north**2)
-    lit = (_LIGHT[2] - _LIGHT[0] * east - _LIGHT[1] * north) * up
-    inner = heights[1:-1, 1:-1]
-    low, high = range_m
-    known = np.isfinite(inner)
-    share = np.clip((np.where(known, inner, low) - low) / (high - low), 0.0, 1.0)
-    tinted = _RGB[np.rint(share * (len(_RGB) - 1)).astype(np.uint8)]
-    darkest = 0.35  # Brightness of a slope facing away from the light, 1 if it faces the light.
-    shade = darkest + (1.0 - darkest) * np.clip(np.nan_to_num(lit, nan=0.7), 0.0, 1.0)
-    picture = np.empty((*inner.shape, 4), dtype=np.uint8)
-    picture[..., :3] = np.rint(tinted * shade[..., np.newaxis])
-    picture[..., 3] = np.where(known, 255, 0)
-    return picture
-
-
-def contours(heights: Float32Array, interval_m: float) -> BoolArray:
-    """Return the pixels (H, W) that contour lines cross.
-
-    ``heights`` (H + 2, W + 2) are as for `relief`.
-    """
-    band = np.floor(heights / interval_m)
-    inner = band[1:-1, 1:-1]
-    # Where a neighbour is unknown, the difference is too, and no line is crossed.
-    right, below = band[1:-1, 2:] - inner, band[2:, 1:-1] - inner
-    return np.asarray((np.nan_to_num(right) != 0.0) | (np.nan_to_num(below) != 0.0))
-
-
-def tint_range_m(heights: FloatArray) -> tuple[float, float]:
-    """Return the heights of the lowest and the highest tint of terrain.
-
-    Half a percent of the heights lie below this range, and half a percent above.
-    """
-    low, high = np.nanpercentile(heights, [0.5, 99.5])
-    return float(low), max(float(high), float(low) + 1.0)
-
-
-class ReliefTiles:
-    """Draws tiles of one elevation model, from any thread."""
-
-    def __init__(self, terrain: Dem) -> None:
-        self._terrain = terrain = read_dem(terrain)
-        step = max(1, max(terrain.rows, terrain.cols) // 512)
-        self._range_m = tint_range_m(terrain.heights_m[::step, ::step])
-        self.bounds_deg = terrain.box_deg
-        """West, south, east and north of the model, degrees; west > east across the
-        antimeridian."""
-
-    def contours_m(self, zoom: int) -> float | None:
-        """Return the contour lines' interval at a zoom; None without lines.
-
-        Lines on a slope of 45 degrees lie at least five pixels apart.
-        """
-        _, south, _, north = self.bounds_deg
-        around_m = 2.0 * np.pi * EQUATOR_RADIUS_M * np.cos(np.radians((south + north) / 2.0))
-        least_m = 5.0 * around_m / (TILE_PX * 2.0**zoom)
-        return next((one for one in _CONTOURS_M if one >= least_m), None)
-
-    def png(self, zoom: int, x: int, y: int) -> bytes:
-        """Return a tile as PNG, transparent where there is no terrain.
-
-        Raises
-        ------
-        InputError
-            There is no such tile.
-        """
-        if not (0 <= zoom <= MAX_ZOOM and 0 <= x < 2**zoom and 0 <= y < 2**zoom):
-            raise InputError(
-                f"tile {zoom}/{x}/{y}; expected a zoom of 0 to {MAX_ZOOM}, x and y below 2**zoom"
-            )
-        mesh = 9
-        step = (TILE_PX + 2) / (mesh - 1)
-        easting, northing = self._terrain.frame.from_lonlat(*_lonlat(zoom, x, y, mesh))
-        across = np.hypot(np.diff(easting, axis=1), np.diff(northing, axis=1)).mean() / step
-        pixel_m = float(across) if np.isfinite(across) else 1e6
-        # Far from a frame's middle its projection may be undefined.
-        known = (np.where(np.isfinite(at), at, -1e9) for at in (easting, northing))
-        east, north = (
-            ndimage.zoom(at, (TILE_PX + 2) / mesh, order=1, mode="nearest") for at in known
-        )
-        heights = self._terrain.height_at(easting_m=east, northing_m=north).astype(np.float32)
-        picture = relief(heights, pixel_m, self._range_m)[..., [2, 1, 0, 3]]
-        interval_m = self.contours_m(zoom)
-        if interval_m is not None:
-            # Every fifth line is darker.
-            for every_m, shade in ((interval_m, 0.75), (5.0 * interval_m, 0.55)):
-                line = contours(heights, every_m)
-                picture[line, :3] = shade * picture[line, :3]
-        return bytes(cv2.imencode(".png", picture, [cv2.IMWRITE_PNG_COMPRESSION, 3])[1])
-
-
-def _lonlat(zoom: int, x: int, y: int, mesh: int) -> tuple[Float64Array, Float64Array]:
-    """Return longitude and latitude of a mesh (M, M) over a tile.
-
-    The mesh reaches one pixel beyond each side. The projection is computed only at the mesh, and
-    interpolated in between.
-    """
-    along = (np.linspace(-1.0, TILE_PX, mesh) + 0.5) / TILE_PX
-    east, south = np.meshgrid((x + along) / 2.0**zoom, (y + along) / 2.0**zoom)
-    lat = np.degrees(np.arctan(np.sinh(np.pi * (1.0 - 2.0 * south))))
-    return 360.0 * east - 180.0, lat

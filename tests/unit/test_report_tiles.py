@@ -9,7 +9,7 @@ from PIL import Image
 from scenes import field_of
 
 from skyline import InputError, ReliefTiles
-from skyline.report.maps import contours
+from skyline.report.relief_tiles import contours
 
 LON, LAT = 9.8, 46.8
 
