@@ -22,7 +22,7 @@ import numpy as np
 from skyline.arrays import Float32Array, Float64Array, IntArray, UInt8Array
 from skyline.errors import InputError
 from skyline.photo.borders import Content, content_of
-from skyline.photo.path import Steps, cheapest_path
+from skyline.photo.cheapest_path import Steps, cheapest_path
 from skyline.photo.photo import Photo
 from skyline.photo.sky_mask import is_sky_mask, skyline_of_mask
 from skyline.photo.sky_network import aspect_scale, network_odds

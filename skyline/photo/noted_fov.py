@@ -19,7 +19,7 @@ A crop mode reads the middle of the sensor. Nikon includes it in the equivalent 
 252), Canon only in the focal plane. So a photo shows at most the whole sensor of its camera.
 
 All three describe the frame whose size the camera noted (`skyline.photo.frame`); a panorama notes
-its own frame in XMP (`skyline.photo.panorama`).
+its own frame in XMP (`skyline.photo.noted_panorama`).
 """
 
 import re
@@ -42,7 +42,7 @@ from skyline.photo.frame import (
     is_unscaled,
     is_whole,
 )
-from skyline.photo.panorama import panorama_of_xmp, swept_lens_of
+from skyline.photo.noted_panorama import panorama_of_xmp, swept_lens_of
 from skyline.photo.sensors import FULL_FRAME_MM, Sensor, sensor_of
 from skyline.photo.skyline import Lens
 from skyline.photo.tags import Tags, noted_time, positive, text_of

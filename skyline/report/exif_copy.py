@@ -19,7 +19,7 @@ from PIL.TiffImagePlugin import IFDRational, ImageFileDirectory_v2
 from skyline.errors import InputError
 from skyline.files.disk import write_whole
 from skyline.photo.image import opened_image
-from skyline.photo.panorama import GPANO
+from skyline.photo.noted_panorama import GPANO
 from skyline.photo.photo import read_photo
 from skyline.photo.xmp import (
     EXTENDED,

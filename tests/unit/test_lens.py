@@ -8,7 +8,7 @@ from PIL.TiffImagePlugin import IFDRational
 from skyline.camera.projection import Projection
 from skyline.match.rays import Rays
 from skyline.photo.noted_fov import camera_of, lens_of
-from skyline.photo.panorama import GPANO, panorama_of_xmp, swept_lens_of
+from skyline.photo.noted_panorama import GPANO, panorama_of_xmp, swept_lens_of
 from skyline.photo.skyline import Lens
 from skyline.photo.xmp import Xmp
 

@@ -9,8 +9,8 @@ from photo_scenes import KINDS, compose, expose, ground, make_scene, ridge, sky,
 
 from skyline.errors import InputError
 from skyline.photo.borders import Content, content_of
+from skyline.photo.cheapest_path import Steps, cheapest_path
 from skyline.photo.extract import crests_of, extract_skyline
-from skyline.photo.path import Steps, cheapest_path
 from skyline.photo.photo import read_photo
 from skyline.photo.read import find_skyline
 from skyline.photo.skyline import PhotoSkyline

@@ -1,4 +1,4 @@
-"""Panoramas: the projection and the field of view that files note."""
+"""The projection and the field of view that a panorama's file notes."""
 
 import re
 from math import degrees, sqrt
