@@ -33,7 +33,8 @@ from skyline.match.prior import NOTHING_KNOWN, Prior
 from skyline.match.search import FullMatcher
 from skyline.photo.extract import extract_skyline
 from skyline.photo.frame import CROP
-from skyline.photo.noted_fov import CROP_SHARES, NOMINAL_SD
+from skyline.photo.noted_focal_length import NOMINAL_SD
+from skyline.photo.noted_fov import CROP_SHARES
 from skyline.photo.skyline import Lens
 from skyline.pose.pose import SAME_VIEW_DEG
 from skyline.pose.poses import Poses

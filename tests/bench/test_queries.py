@@ -11,7 +11,7 @@ from scenes import field_of, fractal
 
 from skyline.camera.levelling import level
 from skyline.camera.warps import undistorted
-from skyline.photo.noted_fov import NOMINAL_SD
+from skyline.photo.noted_focal_length import NOMINAL_SD
 from skyline.photo.skyline import PhotoSkyline
 from skyline.render.depth import DepthRenderer
 from skyline.terrain.viewpoints import at_elevation

@@ -7,7 +7,8 @@ import pytest
 from PIL.ExifTags import Base
 
 from skyline.match.rays import Rays
-from skyline.photo.noted_fov import NOMINAL_SD, lens_of
+from skyline.photo.noted_focal_length import NOMINAL_SD
+from skyline.photo.noted_fov import lens_of
 
 pytest.importorskip("lensfunpy", reason="no database of sensors on this machine")
 
