@@ -98,20 +98,20 @@ def cross(rays: Sequence[Ray], curvature: Curvature, pixel_sd_px: float = PIXEL_
     check_enough(len(rays))
     seen = [_Seen.of(ray, pixel_sd_px) for ray in rays]
     _check_apart(seen)
-    place_m = _nearest(seen)
-    _check_ahead(place_m, seen)
+    position_m = _nearest(seen)
+    _check_ahead(position_m, seen)
     for _ in range(_ROUNDS):
-        normal, pull, _ = _fit(place_m, seen, curvature)
+        normal, pull, _ = _normal_equations(position_m, seen, curvature)
         step_m = np.linalg.solve(normal, pull)
-        place_m = place_m + step_m
+        position_m = position_m + step_m
         if np.abs(step_m).max() < _SETTLED_M:
             break
-    _check_ahead(place_m, seen)
-    normal, _, misfit = _fit(place_m, seen, curvature)
+    _check_ahead(position_m, seen)
+    normal, _, misfit = _normal_equations(position_m, seen, curvature)
     return Crossing(
-        easting_m=float(place_m[0]),
-        northing_m=float(place_m[1]),
-        elevation_m=float(place_m[2]),
+        easting_m=float(position_m[0]),
+        northing_m=float(position_m[1]),
+        elevation_m=float(position_m[2]),
         covariance_m2=np.asarray(np.linalg.inv(normal), dtype=np.float64),
         chi_square=misfit,
         probability=float(chdtrc(2 * len(rays) - 3, misfit)),
@@ -133,7 +133,7 @@ class _Seen:
 
     eye_m: Float64Array
     """(3,) float64. Easting, northing and elevation."""
-    azimuth_rad: float
+    grid_azimuth_rad: float
     elevation_tan: float
     by_pose: Float64Array
     """(2, P) float64. As in `Bearings`."""
@@ -153,7 +153,7 @@ class _Seen:
         by_pixel = pixel_sd_px * seen.by_pixel[0]
         return cls(
             eye_m=np.array([pose.easting_m, pose.northing_m, pose.eye_elevation_m]),
-            azimuth_rad=float(seen.azimuth_rad[0]),
+            grid_azimuth_rad=float(seen.grid_azimuth_rad[0]),
             elevation_tan=float(seen.elevation_tan[0]),
             by_pose=seen.by_pose[0],
             covariance=covariance,
@@ -163,42 +163,46 @@ class _Seen:
     @property
     def ahead(self) -> Float64Array:
         """The direction (3,) of the ray; its horizontal part has length 1."""
-        return np.array([np.sin(self.azimuth_rad), np.cos(self.azimuth_rad), self.elevation_tan])
+        return np.array(
+            [np.sin(self.grid_azimuth_rad), np.cos(self.grid_azimuth_rad), self.elevation_tan]
+        )
 
     @property
     def azimuth_sd_rad(self) -> float:
         """Standard error of the azimuth."""
         return float(np.sqrt(self.spread(np.zeros((2, 3)))[0, 0]))
 
-    def spread(self, by_place: Float64Array) -> Float64Array:
-        """Return the covariance (2, 2) of a place's offset from the ray.
+    def spread(self, by_position: Float64Array) -> Float64Array:
+        """Return the covariance (2, 2) of a position's offset from the ray.
 
-        ``by_place`` (2, 3) are the derivatives of the place's direction by the place: an eye that
-        moves the other way changes the direction alike.
+        ``by_position`` (2, 3) are the derivatives of the position's direction by the position: an
+        eye that moves the other way changes the direction alike.
         """
         by_pose = self.by_pose.copy()
-        by_pose[:, :HEADING] += by_place
+        by_pose[:, :HEADING] += by_position
         return np.asarray(by_pose @ self.covariance @ by_pose.T + self.of_pixel)
 
-    def off(self, place_m: Float64Array, curvature: Curvature) -> tuple[Float64Array, Float64Array]:
-        """Return how far (2,) the ray is off a place's direction.
+    def off(
+        self, position_m: Float64Array, curvature: Curvature
+    ) -> tuple[Float64Array, Float64Array]:
+        """Return how far (2,) the ray is off a position's direction.
 
-        The second result (2, 3) has the derivatives of that direction by the place. Azimuths are in
-        radians, elevations are tangents.
+        The second result (2, 3) has the derivatives of that direction by the position. Azimuths are
+        in radians, elevations are tangents.
         """
-        azimuth, tangent, _ = seen = curvature.seen(*(place_m - self.eye_m))
-        turn = math.remainder(self.azimuth_rad - float(azimuth), 2.0 * math.pi)
+        azimuth, tangent, _ = seen = curvature.seen(*(position_m - self.eye_m))
+        turn = math.remainder(self.grid_azimuth_rad - float(azimuth), 2.0 * math.pi)
         off = np.array([turn, self.elevation_tan - float(tangent)])
         return off, curvature.seen_changes(*seen)
 
 
-def _fit(
-    place_m: Float64Array, seen: Sequence[_Seen], curvature: Curvature
+def _normal_equations(
+    position_m: Float64Array, seen: Sequence[_Seen], curvature: Curvature
 ) -> tuple[Float64Array, Float64Array, float]:
-    """Return a place's normal matrix, its pull, and the squared misfits."""
+    """Return a position's normal matrix, its pull, and the squared misfits."""
     normal, pull, misfit = np.zeros((3, 3)), np.zeros(3), 0.0
     for one in seen:
-        off, slopes = one.off(place_m, curvature)
+        off, slopes = one.off(position_m, curvature)
         weight = np.linalg.inv(one.spread(slopes))
         normal += slopes.T @ weight @ slopes
         pull += slopes.T @ weight @ off
@@ -209,8 +213,8 @@ def _fit(
 def _check_apart(seen: Sequence[_Seen]) -> None:
     """Raise `InputError` if all rays are parallel within their errors."""
     first, second = np.triu_indices(len(seen), 1)
-    azimuth_deg = np.degrees([one.azimuth_rad for one in seen])
-    apart_deg = angle_between_deg(azimuth_deg[first], azimuth_deg[second])
+    grid_azimuth_deg = np.degrees([one.grid_azimuth_rad for one in seen])
+    apart_deg = angle_between_deg(grid_azimuth_deg[first], grid_azimuth_deg[second])
     apart_deg = np.minimum(apart_deg, 180.0 - apart_deg)
     sd_deg = np.degrees([one.azimuth_sd_rad for one in seen])
     error_deg = np.hypot(sd_deg[first], sd_deg[second])
@@ -222,9 +226,9 @@ def _check_apart(seen: Sequence[_Seen]) -> None:
         )
 
 
-def _check_ahead(place_m: Float64Array, seen: Sequence[_Seen]) -> None:
-    """Raise `InputError` if a place is behind a camera."""
-    ahead_m = [float((place_m - one.eye_m)[:2] @ one.ahead[:2]) for one in seen]
+def _check_ahead(position_m: Float64Array, seen: Sequence[_Seen]) -> None:
+    """Raise `InputError` if a position is behind a camera."""
+    ahead_m = [float((position_m - one.eye_m)[:2] @ one.ahead[:2]) for one in seen]
     if min(ahead_m) <= 0.0:
         number = int(np.argmin(ahead_m)) + 1
         raise InputError(
@@ -234,7 +238,7 @@ def _check_ahead(place_m: Float64Array, seen: Sequence[_Seen]) -> None:
 
 
 def _nearest(seen: Sequence[_Seen]) -> Float64Array:
-    """Return the place with the least distances from straight rays."""
+    """Return the position with the least distances from straight rays."""
     eyes_m = np.array([one.eye_m for one in seen])
     along = np.array([one.ahead / np.linalg.norm(one.ahead) for one in seen])
     across = np.eye(3) - along[:, :, np.newaxis] * along[:, np.newaxis, :]

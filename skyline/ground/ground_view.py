@@ -155,7 +155,10 @@ class GroundView:
         elevation_tan: Float64Array,
         progress: Progress | None = None,
     ) -> Float64Array:
-        """Return distances (N,) at which rays meet ground; NaN for sky."""
+        """Return distances (N,) at which rays meet ground; NaN for sky.
+
+        Azimuths are grid azimuths.
+        """
         rays = azimuth_rad.ravel(), elevation_tan.ravel()
         found_m = first_hits_m(
             self.terrain, self.eye, self.curvature, *rays, self._step_rad, progress
@@ -165,7 +168,10 @@ class GroundView:
     def at_m(
         self, azimuth_rad: Float64Array, elevation_tan: Float64Array, distance_m: Float64Array
     ) -> tuple[Float64Array, Float64Array, Float64Array]:
-        """Return easting, northing and elevation at distances along rays."""
+        """Return easting, northing and elevation at distances along rays.
+
+        Azimuths are grid azimuths.
+        """
         eye = self.eye
         return (
             eye.easting_m + distance_m * np.sin(azimuth_rad),
@@ -185,10 +191,10 @@ class GroundView:
         height_sd_m = errors.height_sd_on(self.terrain)
         known = len(self.covariance)
         bearings = Bearings.of(self.camera, column_px, row_px, known)
-        azimuth, tan = bearings.azimuth_rad, bearings.elevation_tan
+        azimuth, tan = bearings.grid_azimuth_rad, bearings.elevation_tan
         away_m = self.hits_m(azimuth, tan)
-        place = self.at_m(azimuth, tan, away_m)
-        ahead, aside = self._rises(azimuth, *place[:2])
+        easting_m, northing_m, elevation_m = self.at_m(azimuth, tan, away_m)
+        ahead, aside = self._rises(azimuth, easting_m, northing_m)
         changes = np.concatenate([bearings.by_pose, bearings.by_pixel], axis=2)
         turn, lift = changes[:, 0], changes[:, 1]
         # How much higher rays pass over the place, by pose and by pixel.
@@ -218,9 +224,9 @@ class GroundView:
         covariance_m2 += errors.pixel_sd_px**2 * by_pixel @ by_pixel.swapaxes(1, 2)
         covariance_m2 += by_pose @ self.covariance @ by_pose.swapaxes(1, 2)
         return GroundPoints(
-            easting_m=place[0],
-            northing_m=place[1],
-            elevation_m=place[2],
+            easting_m=easting_m,
+            northing_m=northing_m,
+            elevation_m=elevation_m,
             distance_m=away_m,
             by_pose=by_pose,
             by_pixel=by_pixel,

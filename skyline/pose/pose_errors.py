@@ -88,8 +88,8 @@ class Bearings(Rows):
     """(N, 2, 2) float64. The same by a column to the right and a row down."""
 
     @property
-    def azimuth_rad(self) -> Float64Array:
-        """(N,) float64. From grid north."""
+    def grid_azimuth_rad(self) -> Float64Array:
+        """(N,) float64."""
         return np.radians(self.grid_azimuth_deg)
 
     @classmethod

@@ -142,7 +142,7 @@ def body_pointing(
     of_pose = pose.covariance_or_assumed(photo)
     seen = Bearings.of(camera, [pixel[0]], [pixel[1]], len(of_pose))
     changes = np.concatenate([seen.by_pose[0], seen.by_pixel[0]], axis=1)
-    sine, cosine = np.sin(seen.azimuth_rad[0]), np.cos(seen.azimuth_rad[0])
+    sine, cosine = np.sin(seen.grid_azimuth_rad[0]), np.cos(seen.grid_azimuth_rad[0])
     return _pointing(
         np.array([sine, cosine, seen.elevation_tan[0]]),
         np.array([[cosine, 0.0], [-sine, 0.0], [0.0, 1.0]]) @ changes,

@@ -1,7 +1,6 @@
 """The view at a pose: rendered skyline and summits in its photo.
 
-A pose is a `Pose`; a picture has the size and the projection of a photo. Azimuths are grid
-azimuths in degrees, elevations the tangent of the elevation angle: up over horizontal distance.
+A picture has the size and the projection of a photo.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ from skyline.pose.pose import Pose
 from skyline.progress import Progress
 from skyline.render.context import Closeable, RenderThread
 from skyline.render.horizon import RenderConfig, RenderedScene
-from skyline.sky.sun import Body, Sky, check_is_earth
+from skyline.sky.sun import Body, InSky, Sky, check_is_earth
 from skyline.skylines import HEADINGS, Views
 from skyline.terrain.dem import Dem, read_dem
 from skyline.terrain.ray_casting import first_hits_m
@@ -157,21 +156,23 @@ def sight_of(pose: Pose, photo: PhotoForm, views: Views) -> Sight:
     views : Views
         Views from the eye of the pose, at least in the directions around the photo.
     """
-    azimuth_deg = views.grid_azimuth_deg().ravel()
+    grid_azimuth_deg = views.grid_azimuth_deg().ravel()
     # In order from behind the camera, so that the columns ahead are one unbroken run.
-    order = np.argsort(wrapped_deg(azimuth_deg - pose.grid_heading_deg))
-    azimuth_deg = azimuth_deg[order]
+    order = np.argsort(wrapped_deg(grid_azimuth_deg - pose.grid_heading_deg))
+    grid_azimuth_deg = grid_azimuth_deg[order]
     elevation_tan = np.tan(np.radians(views.elevation_deg())).ravel()[order]
     is_sure = views.flags.ravel()[order] == 0
-    column, row = pose.camera(photo).pixels(azimuth_deg, elevation_tan)
+    column, row = pose.camera(photo).pixels(grid_azimuth_deg, elevation_tan)
     near = np.abs(column - photo.width_px / 2.0) <= _AROUND * photo.width_px
     gap_deg = np.full(photo.width_px, np.nan)
     known = np.isfinite(elevation_tan)
     if isinstance(photo, PhotoSkyline) and known.any():
         trusted = np.flatnonzero(photo.trusted)
-        photo_deg, y = pose.camera(photo).directions(trusted, photo.row_px[trusted])
-        there = np.interp(photo_deg, azimuth_deg[known], elevation_tan[known], period=360.0)
-        gap_deg[photo.trusted] = np.degrees(np.arctan(y) - np.arctan(there))
+        photo_deg, photo_tan = pose.camera(photo).directions(trusted, photo.row_px[trusted])
+        rendered_tan = np.interp(
+            photo_deg, grid_azimuth_deg[known], elevation_tan[known], period=360.0
+        )
+        gap_deg[photo.trusted] = np.degrees(np.arctan(photo_tan) - np.arctan(rendered_tan))
     return Sight(column[near], row[near], is_sure[near], gap_deg)
 
 
@@ -370,10 +371,10 @@ class Viewer(Closeable):
             raise InputError(f"the step is {step} pixels; expected 1 or more")
         view = self.ground_view(pose, photo)
         row_px, column_px = np.mgrid[: photo.height_px : step, : photo.width_px : step]
-        azimuth_deg, elevation_tan = view.camera.directions(column_px, row_px)
-        azimuth_rad = np.radians(azimuth_deg)
-        distance_m = view.hits_m(azimuth_rad, elevation_tan, progress)
-        easting_m, northing_m, elevation_m = view.at_m(azimuth_rad, elevation_tan, distance_m)
+        grid_azimuth_deg, elevation_tan = view.camera.directions(column_px, row_px)
+        ray = np.radians(grid_azimuth_deg), elevation_tan
+        distance_m = view.hits_m(*ray, progress)
+        easting_m, northing_m, elevation_m = view.at_m(*ray, distance_m)
         lon, lat = self.frame.to_lonlat(easting_m, northing_m)
         is_sky = np.isnan(distance_m)
         return PixelPlaces(
@@ -416,17 +417,14 @@ class Viewer(Closeable):
 
         ``seen`` are the summits that it shows. Raises as `summits`.
         """
+        if self.peaks is None:
+            return UnseenPeaks(hidden=(), outside=(), off_map=())
         shown = {(one.name, one.easting_m, one.northing_m) for one in seen}
         hidden: list[str] = []
         outside: list[str] = []
         off_map: list[str] = []
-        peaks = self.peaks
-        aimed = (
-            []
-            if peaks is None
-            else aimed_at(self.terrain, self._standing(pose), peaks, self.curvature)
-        )
-        for name, one in zip(() if peaks is None else peaks.names, aimed, strict=True):
+        aimed = aimed_at(self.terrain, self._standing(pose), self.peaks, self.curvature)
+        for name, one in zip(self.peaks.names, aimed, strict=True):
             if one is None:
                 off_map.append(name)
             elif (name, one.easting_m, one.northing_m) not in shown:
@@ -445,39 +443,43 @@ class Viewer(Closeable):
         photo.projection.check_fov_deg(pose.fov_deg)
         eye = self._standing(pose)
         sky = Sky(pose.lon, pose.lat, float(eye.eye_elevation_m[0]))
-        camera = pose.camera(photo)
+        bodies = (self._in_picture(body, sky.look(body, at), eye, pose, photo) for body in Body)
+        return [one for one in bodies if one is not None]
+
+    def _in_picture(
+        self, body: Body, disc: InSky, eye: Viewpoints, pose: Pose, photo: PhotoForm
+    ) -> SeenBody | None:
+        """Return a body in the photo; None if its middle lies outside."""
         turn = np.linspace(0.0, 2.0 * np.pi, _DISC_POINTS)
-        found = []
-        for body in Body:
-            disc = sky.look(body, at)
-            aside_deg = disc.radius_deg * np.append(0.0, np.sin(turn))
-            up_deg = disc.elevation_deg + disc.radius_deg * np.append(0.0, np.cos(turn))
-            azimuth_deg = (
-                disc.azimuth_deg
-                - pose.convergence_deg
-                + aside_deg / np.cos(np.radians(disc.elevation_deg))
-            )
-            edge = np.column_stack(camera.pixels(azimuth_deg, np.tan(np.radians(up_deg))))
-            (column_px, row_px), outline_px = edge[0], edge[1:]
-            if not in_picture(column_px, row_px, photo.width_px, photo.height_px):
-                continue
-            towards = np.radians(azimuth_deg[:1]), np.tan(np.radians(up_deg[:1]))
-            hit_m = first_hits_m(self.terrain, eye, self.curvature, *towards, _DISC_STEP_RAD, None)
-            found.append(
-                SeenBody(
-                    name=str(body),
-                    column_px=float(column_px),
-                    row_px=float(row_px),
-                    outline_px=outline_px,
-                    azimuth_deg=disc.azimuth_deg,
-                    elevation_deg=disc.elevation_deg,
-                    is_hidden=bool(np.isfinite(hit_m[0])) or disc.elevation_deg < 0.0,
-                )
-            )
-        return found
+        aside_deg = disc.radius_deg * np.append(0.0, np.sin(turn))
+        up_deg = disc.elevation_deg + disc.radius_deg * np.append(0.0, np.cos(turn))
+        grid_azimuth_deg = (
+            disc.azimuth_deg
+            - pose.convergence_deg
+            + aside_deg / np.cos(np.radians(disc.elevation_deg))
+        )
+        elevation_tan = np.tan(np.radians(up_deg))
+        edge_px = np.column_stack(pose.camera(photo).pixels(grid_azimuth_deg, elevation_tan))
+        (column_px, row_px), outline_px = edge_px[0], edge_px[1:]
+        if not in_picture(column_px, row_px, photo.width_px, photo.height_px):
+            return None
+        middle = np.radians(grid_azimuth_deg[:1]), elevation_tan[:1]
+        hit_m = first_hits_m(self.terrain, eye, self.curvature, *middle, _DISC_STEP_RAD, None)
+        return SeenBody(
+            name=str(body),
+            column_px=float(column_px),
+            row_px=float(row_px),
+            outline_px=outline_px,
+            azimuth_deg=disc.azimuth_deg,
+            elevation_deg=disc.elevation_deg,
+            is_hidden=bool(np.isfinite(hit_m[0])) or disc.elevation_deg < 0.0,
+        )
 
     def sightings(self, pose: Pose) -> list[Sighting]:
-        """Return all peaks visible from a pose, as `summits`."""
+        """Return all peaks visible from a pose, most prominent first.
+
+        Raises `OffMapError` for a pose off the map or on a hole.
+        """
         return most_prominent_first(self.terrain, self._visible(pose))
 
     def _visible(self, pose: Pose) -> list[Sighting]:
@@ -487,8 +489,12 @@ class Viewer(Closeable):
 
     def _standing(self, pose: Pose) -> Viewpoints:
         """Return a pose's eye, raised to the least height of a camera."""
-        place = {"easting_m": pose.easting_m, "northing_m": pose.northing_m}
-        eye = stand_on(self.terrain, **place, eye_height_m=LEAST_EYE_HEIGHT_M)
+        eye = stand_on(
+            self.terrain,
+            easting_m=pose.easting_m,
+            northing_m=pose.northing_m,
+            eye_height_m=LEAST_EYE_HEIGHT_M,
+        )
         np.maximum(eye.eye_elevation_m, pose.eye_elevation_m, out=eye.eye_elevation_m)
         return eye
 
