@@ -1,6 +1,6 @@
 """Photos with their skyline, a rendered skyline, and named peaks."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import cv2
@@ -17,6 +17,8 @@ from skyline.photo.skyline import PhotoForm, PhotoSkyline
 from skyline.pose.pose import Pose
 from skyline.report.figure_files import encode_figure
 from skyline.report.labels import (
+    Label,
+    PlacedLabel,
     UnnamedPeaks,
     labels_of,
     place_labels,
@@ -178,53 +180,57 @@ def _draw_picture(
     # Pixels of the picture for one of the photo.
     most = 1600.0 / max(form.width_px, form.height_px)
     scale = min(most, max(1.0, 700.0 / form.width_px))
-    width = form.width_px * scale
-    height = form.height_px * scale
+    drawn_px = form.width_px * scale, form.height_px * scale
     font_pt = 10.0
     labels, no_font = labels_of(peaks, texts)
     placed = place_labels(
         [(one.peak.column_px + 0.5) * scale for one in labels],
         [one.extent_px(figure, font_pt)[0] for one in labels],
-        width,
+        drawn_px[0],
         rows=6,
         gap=8.0,
     )
     drawn = {one.index for one in placed}
     no_room = tuple(one.peak.name for at, one in enumerate(labels) if at not in drawn)
     unnamed = UnnamedPeaks(no_room, no_font)
-    band = max((_ROW_PX * (1 + place.row) + 10.0 for place in placed), default=0.0)
+    band_px = max((_ROW_PX * (1 + one.row) + 10.0 for one in placed), default=0.0)
     foot_px += _ROW_PX if no_font else 0.0
-    figure.set_size_inches(width / _DPI, (height + band + foot_px) / _DPI)
+    figure.set_size_inches(drawn_px[0] / _DPI, (drawn_px[1] + band_px + foot_px) / _DPI)
     axis = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     axis.set_axis_off()
     right = form.width_px - 0.5
     bottom = form.height_px - 0.5
-    axis.set(xlim=(-0.5, right), ylim=(bottom + foot_px / scale, -0.5 - band / scale))
+    axis.set(xlim=(-0.5, right), ylim=(bottom + foot_px / scale, -0.5 - band_px / scale))
     axis.autoscale(False)
     picture = np.full((2, 2, 3), (239, 241, 238), dtype=np.uint8)
     if photo is not None:
-        size = round(width), max(1, round(height))
+        size = round(drawn_px[0]), max(1, round(drawn_px[1]))
         picture = np.asarray(cv2.resize(photo, size, interpolation=cv2.INTER_AREA))
     axis.imshow(picture, extent=(-0.5, right, bottom, -0.5), aspect="auto")
-    outline = [withStroke(linewidth=2.0, foreground="black", alpha=0.55)]
     font: dict[str, Any] = {"fontsize": font_pt, "ha": "center", "va": "bottom"}
-    for place in placed:
-        label = labels[place.index]
-        peak = label.peak
-        foot = (-8.0 - place.row * _ROW_PX) / scale - 0.5
-        middle = (place.left + place.right) / 2.0 / scale - 0.5
-        leader = [foot, peak.row_px - 3.0 / scale]
-        axis.plot(
-            [peak.column_px] * 2, leader, "w", linewidth=0.9, path_effects=outline, zorder=2.5
-        )
-        axis.plot(
-            peak.column_px, peak.row_px, "vw", markeredgecolor="black", markersize=6, zorder=2.5
-        )
-        axis.text(middle, foot, label.text, **font, **label.style)
+    for one in placed:
+        _draw_name(axis, labels[one.index], one, scale, font)
     if no_font:
         note = UnnamedPeaks(no_font=no_font).counted.removeprefix("; ")
-        axis.text(width / 2.0 / scale - 0.5, bottom + _ROW_PX / scale, note, **font)
+        axis.text(drawn_px[0] / 2.0 / scale - 0.5, bottom + _ROW_PX / scale, note, **font)
     return figure, axis, unnamed
+
+
+def _draw_name(
+    axis: Axes, label: Label[SeenPeak], placed: PlacedLabel, scale: float, font: Mapping[str, Any]
+) -> None:
+    """Draw a peak's mark, its name above the photo, and a line between them.
+
+    ``scale`` is the number of the picture's pixels for one of the photo.
+    """
+    peak = label.peak
+    outline = [withStroke(linewidth=2.0, foreground="black", alpha=0.55)]
+    foot = (-8.0 - placed.row * _ROW_PX) / scale - 0.5
+    middle = (placed.left + placed.right) / 2.0 / scale - 0.5
+    leader = [foot, peak.row_px - 3.0 / scale]
+    axis.plot([peak.column_px] * 2, leader, "w", linewidth=0.9, path_effects=outline, zorder=2.5)
+    axis.plot(peak.column_px, peak.row_px, "vw", markeredgecolor="black", markersize=6, zorder=2.5)
+    axis.text(middle, foot, label.text, **font, **label.style)
 
 
 def _draw_masked(axis: Axes, skyline: PhotoSkyline) -> None:

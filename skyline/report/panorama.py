@@ -328,9 +328,9 @@ def _draw_names(axis: Axes, row: _Row) -> list[Label[Sighting]]:
         gap=0.015,
     )
     leaders = []
-    for place in placed:
-        label, azimuth, summit_deg, _ = row.names[place.index]
-        middle = begin + 0.5 * (place.left + place.right) / in_a_deg
+    for one in placed:
+        label, azimuth, summit_deg, _ = row.names[one.index]
+        middle = begin + 0.5 * (one.left + one.right) / in_a_deg
         high = row.span_deg[1]
         foot = high + 0.15 / in_a_deg
         leaders.append([(azimuth, summit_deg), (azimuth, high), (middle, foot)])
@@ -346,7 +346,7 @@ def _draw_names(axis: Axes, row: _Row) -> list[Label[Sighting]]:
             **label.style,
         )
     axis.add_collection(LineCollection(leaders, colors="#333333", linewidths=0.45, clip_on=False))
-    return [row.names[place.index][0] for place in placed]
+    return [row.names[one.index][0] for one in placed]
 
 
 def _title(view: PanoramaView) -> str:
