@@ -248,8 +248,8 @@ def lies_in_any(output: Path, folders: Iterable[str]) -> bool:
 
     It may lie in a folder of such a folder.
     """
-    place = output.resolve()
-    return not {Path(one).resolve() for one in folders}.isdisjoint([place, *place.parents])
+    resolved = output.resolve()
+    return not {Path(one).resolve() for one in folders}.isdisjoint([resolved, *resolved.parents])
 
 
 def check_outputs(
@@ -261,9 +261,9 @@ def check_outputs(
     """
     read = [path for path in inputs if is_file(path)]
     named = [path for path in (*outputs, folder) if path is not None]
-    places = [path.resolve() for path in named]
+    resolved = [path.resolve() for path in named]
     for path in named:
-        if places.count(path.resolve()) > 1:
+        if resolved.count(path.resolve()) > 1:
             raise InputError(f"{path} is the name of two outputs; choose another name for one")
         if path.exists() and any(path.samefile(one) for one in read):
             raise InputError(f"{path} is an input; choose another name for the output")
