@@ -6,6 +6,7 @@ import contextlib
 import datetime
 import shutil
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from skyline.arrays import UInt8Array
@@ -78,7 +79,6 @@ def report_matches(
     if photos is None:
         photos = (read_picture(one.name) if one.name else None for one in results)
     terrain = matcher.terrain or terrain_at_hand(matcher.header, "no relief")
-    pictures = dict[str, bytes]()
     viewer = None
     if terrain is not None:
         viewer = Viewer(
@@ -88,30 +88,43 @@ def report_matches(
             render_thread=matcher.render_thread,
         )
     with viewer or contextlib.nullcontext():
-        sections = [
-            _section(pictures, number, one, photo, matcher, viewer, done)
+        shown = [
+            _section(number, one, photo, matcher, viewer, done)
             for number, (one, photo) in enumerate(zip(results, photos, strict=True), start=1)
         ]
+    sections = [html for html, _ in shown]
     if served is not None:
         how = f"To mend a skyline or to place a camera by hand, run: {served[0]}"
         sections.insert(0, text(how, links=[(served[1], "Then open the page.")]))
     lead = _answered(results) + _about(viewer)
     today = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d %H:%M UTC")
     made_by = f"skyline {PACKAGE_VERSION} {today}"
-    whole = page("Where the photos were taken", lead, sections, made_by)
     is_new = not folder.exists()
     path = folder / REPORT_PAGE
     try:
         # The page first: its mark says whose the other files are, should this be stopped.
-        write_whole(path, whole)
-        for name, content in pictures.items():
-            write_whole(folder / name, content)
+        write_whole(path, page("Where the photos were taken", lead, sections, made_by))
+        for one in (drawn for _, pictures in shown for drawn in pictures):
+            write_whole(folder / one.name, one.data)
         export_matches(folder / CANDIDATES, results, matcher.frame)
     except InputError:
         if is_new:
             shutil.rmtree(folder, ignore_errors=True)
         raise
     return path
+
+
+@dataclass(frozen=True, slots=True)
+class _Picture:
+    """A picture of the report."""
+
+    name: str
+    """Name of its file."""
+    data: bytes
+    """PNG or JPEG."""
+    caption: str
+    is_wide: bool = False
+    """Whether it has the whole width of the page."""
 
 
 def _answered(results: Sequence[MatchResult]) -> str:
@@ -140,18 +153,14 @@ def _about(viewer: Viewer | None) -> str:
 
 
 def _section(
-    pictures: dict[str, bytes],
     number: int,
     result: MatchResult,
     photo: UInt8Array | None,
     matcher: Matcher,
     viewer: Viewer | None,
     done: str,
-) -> str:
-    """Return the section of one result.
-
-    Its pictures are added to ``pictures`` by the names of their files.
-    """
+) -> tuple[str, list[_Picture]]:
+    """Return the section of one result, and its pictures."""
     skyline = result.skyline
     best = result.best
     sight: Sight | None = None
@@ -162,38 +171,34 @@ def _section(
             sight = viewer.look(best, skyline)
             sightings = viewer.sightings(best)
             peaks = peaks_in_picture(best, skyline, sightings)
-    name = f"{number:02d}-overlay.jpg"
-    pictures[name], unnamed = draw_overlay(skyline, photo, best, sight, peaks)
+    overlay, unnamed = draw_overlay(skyline, photo, best, sight, peaks)
     caption = _overlay_caption(skyline, best, sight, unnamed)
+    pictures = [
+        _Picture(f"{number:02d}-overlay.jpg", overlay, caption, is_wide=True),
+        *_maps(number, result.candidates, matcher, viewer, sightings),
+    ]
     parts = [
         text(result.summary, _kind(result), () if best is None else _map_links(best)),
-        figures(
-            [
-                picture(pictures[name], caption),
-                *_maps(pictures, number, result.candidates, matcher, viewer, sightings),
-            ]
-        ),
+        figures(picture(one.data, one.caption, wide=one.is_wide) for one in pictures),
     ]
     if result.candidates:
         parts.append(_candidate_table(result.candidates))
     how = " ".join(filter(None, ["What was done:", done, f"It took {result.seconds:.2f} s."]))
     lens = "" if skyline.lens is None else skyline.lens.in_words
     notes = result.exif_in_words(with_place=False), lens, result.beyond, how
-    return section(result.name, [*parts, *(text(note) for note in notes if note)])
+    return section(result.name, [*parts, *(text(note) for note in notes if note)]), pictures
 
 
 def _maps(
-    pictures: dict[str, bytes],
     number: int,
     candidates: Sequence[Pose],
     matcher: Matcher,
     viewer: Viewer | None,
     sightings: Sequence[Sighting],
-) -> list[str]:
+) -> list[_Picture]:
     """Draw a map of all candidates, and perhaps one of the first.
 
-    The second map is drawn if its side is less than 0.4 of the first one's. Pictures are added as
-    in `_section`.
+    The second map is drawn if its side is less than 0.4 of the first one's.
     """
     terrain = None if viewer is None else viewer.terrain
     viewpoints = matcher.viewpoints
@@ -205,14 +210,12 @@ def _maps(
             ellipse = ", its ellipse 95 % of where it may be" if candidates[0].covariance_m2 else ""
             title = candidates[0].title
             areas.append(("detail", near, f"{title[0].upper()}{title[1:]} from nearby{ellipse}"))
-    shown = []
+    maps = []
     for kind, area, caption in areas:
         figure = draw_match_map(candidates, area, matcher.frame, viewpoints, terrain, sightings)
-        name = f"{number:02d}-{kind}.png"
-        pictures[name] = encode_figure(figure)
         words = f"{caption}. The arrow points to true north."
-        shown.append(picture(pictures[name], words, wide=False))
-    return shown
+        maps.append(_Picture(f"{number:02d}-{kind}.png", encode_figure(figure), words))
+    return maps
 
 
 def _kind(result: MatchResult) -> str:
