@@ -84,7 +84,7 @@ def export(
 
     QGIS and other programs read it. The extra `geo` is needed.
     """
-    from skyline.report.exports import write_geopackage  # noqa: PLC0415  (slow to load)
+    from skyline.report.place_files import write_geopackage  # noqa: PLC0415  (slow to load)
 
     with open_store(store) as opened:
         count = write_geopackage(opened, output)

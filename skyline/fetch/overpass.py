@@ -15,8 +15,8 @@ from urllib.request import Request, urlopen
 
 from skyline.errors import FetchError, InputError, one_line, printable, suffix_of
 from skyline.fetch.remote import PASSING, PATIENT, Patience, RequestError, repeated
-from skyline.files.disk import GEOJSON, STANDARD, write_whole
-from skyline.files.geojson import Json, collection, feature
+from skyline.files.disk import STANDARD, write_whole
+from skyline.files.geojson import GEOJSON, Json, collection, feature
 from skyline.geodesy.bounds import Bounds, check_bounds
 from skyline.terrain.raster_files import without_secrets
 

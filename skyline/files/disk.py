@@ -28,8 +28,6 @@ STORE_SUFFIXES = (".h5", ".hdf5")
 """Suffixes of stores."""
 STANDARD = "-"
 """The path that stands for standard input and output."""
-GEOJSON = (".geojson", ".json")
-"""Suffixes of GeoJSON."""
 
 _FILE_SUFFIXES = {
     ".csv", ".geojson", ".gpkg", ".gpx", ".h5", ".hdf5", ".htm", ".html", ".jpeg", ".jpg", ".json",

@@ -1,9 +1,13 @@
-"""The features of GeoJSON (RFC 7946)."""
+"""GeoJSON (RFC 7946): suffixes, features, and the decimals of degrees."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 Json = dict[str, Any]
+GEOJSON = (".geojson", ".json")
+"""Suffixes of GeoJSON."""
+DEGREE_DECIMALS = 7
+"""Decimals of degrees in files: a centimetre on the ground."""
 
 
 def feature(kind: str, coordinates: Sequence[Any], properties: Mapping[str, Any]) -> Json:

@@ -14,7 +14,8 @@ import numpy as np
 
 from skyline.arrays import Float64Array
 from skyline.errors import InputError, library, printable
-from skyline.files.disk import GEOJSON, is_name_of, read_bytes
+from skyline.files.disk import is_name_of, read_bytes
+from skyline.files.geojson import GEOJSON
 from skyline.files.shapes import (
     CORNER_PX,
     EXPECTED,

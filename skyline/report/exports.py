@@ -1,9 +1,8 @@
-"""Matches and places as files that other programs read.
+"""The candidates of matches as files that other programs read.
 
-Candidates are written as GeoJSON (RFC 7946): points, views and ellipses in degrees of WGS 84; as
-KML 2.2 (OGC 07-147r2): places, views, and the photo standing in the landscape; and as GPX 1.1:
-waypoints, which navigation devices and hiking maps read. The places of a store are written as a
-GeoPackage.
+They are GeoJSON (RFC 7946): points, views and ellipses in degrees of WGS 84; KML 2.2 (OGC
+07-147r2): points, views, and the photo standing in the landscape; and GPX 1.1: waypoints, which
+navigation devices and hiking maps read.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ from skyline.arrays import Float64Array, UInt8Array
 from skyline.camera.projection import Projection
 from skyline.errors import InputError, printable, suffix_of
 from skyline.files.disk import STANDARD, write_whole
-from skyline.files.geojson import Json, collection, feature
+from skyline.files.geojson import DEGREE_DECIMALS, Json, collection, feature
 from skyline.geodesy.antimeridian import lonlat_rings
 from skyline.geodesy.map_frame import Frame
 from skyline.match.result import MatchResult, listed
@@ -36,21 +35,18 @@ from skyline.photo.skyline import PhotoSkyline
 from skyline.pose.outlines import Ellipse, view_wedge_m
 from skyline.pose.pose import COLUMNS, Pose
 from skyline.report.kml import add, add_polygon, kml_document, xml_bytes
-from skyline.store.read import Store
 
 VIEW_REACH_M = 2000.0
 """Radius of the wedge drawn for a view; a camera sees farther, but longer wedges would overlap."""
 
-_DECIMALS = 7
-"""Decimals of degrees in files: a centimetre on the ground."""
 _OVERLAY = """<PhotoOverlay><name/><Camera>
-<longitude>{place.lon}</longitude><latitude>{place.lat}</latitude>
+<longitude>{mark.lon}</longitude><latitude>{mark.lat}</latitude>
 <altitude>{pose.eye_elevation_m:.2f}</altitude><heading>{pose.heading_deg:.3f}</heading>
 <tilt>{tilt_deg:.3f}</tilt><roll>{roll_deg:.3f}</roll><altitudeMode>absolute</altitudeMode>
 </Camera><Icon><href/></Icon><ViewVolume><leftFov>-{side_deg:.3f}</leftFov>
 <rightFov>{side_deg:.3f}</rightFov><bottomFov>-{up_deg:.3f}</bottomFov><topFov>{up_deg:.3f}</topFov>
 <near>300</near></ViewVolume>
-<Point><coordinates>{place.coordinates}</coordinates></Point>
+<Point><coordinates>{mark.coordinates}</coordinates></Point>
 <shape>rectangle</shape></PhotoOverlay>"""
 """A photo that stands 300 m in front of the camera; its name and address are set as texts."""
 Photos = Sequence[UInt8Array | None]
@@ -80,7 +76,7 @@ class _Placemark:
             f"pitch {pose.pitch_deg:.1f}°, roll {pose.roll_deg:.1f}°, field of view "
             f"{pose.fov_deg:.1f}°, eye {pose.eye_elevation_m:.0f} m above the datum{sure}"
         )
-        lon, lat = (f"{degrees:.{_DECIMALS}f}" for degrees in (pose.lon, pose.lat))
+        lon, lat = (f"{degrees:.{DEGREE_DECIMALS}f}" for degrees in (pose.lon, pose.lat))
         return cls(pose, f"{photo}: {pose.name}", description, lon, lat)
 
     @property
@@ -108,11 +104,11 @@ def _geojson(results: Sequence[MatchResult], frames: Sequence[Frame]) -> str:
 def _features(photo: str, candidate: Pose, frame: Frame) -> list[Json]:
     """Return the GeoJSON features of a candidate: point, view and ellipse."""
     of_pose: Json = {"photo": photo, "rank": candidate.rank, "origin": candidate.origin}
-    place = [round(candidate.lon, _DECIMALS), round(candidate.lat, _DECIMALS)]
+    lonlat_deg = [round(candidate.lon, DEGREE_DECIMALS), round(candidate.lat, DEGREE_DECIMALS)]
     about = of_pose | {"shape": "candidate"} | candidate.to_dict()
     wedge = _polygon(view_wedge_m(candidate, VIEW_REACH_M), frame)
     shapes = [
-        feature("Point", place, about),
+        feature("Point", lonlat_deg, about),
         feature(*wedge, of_pose | {"shape": "view", "reach_m": VIEW_REACH_M}),
     ]
     ellipse = Ellipse.of(candidate)
@@ -133,7 +129,7 @@ def _polygon(outline_m: Float64Array, frame: Frame) -> tuple[str, Sequence[objec
 
 def _rings(outline_m: Float64Array, frame: Frame) -> list[list[list[float]]]:
     """Return the rings in degrees of an outline (P, 2) in metres."""
-    return [np.round(ring, _DECIMALS).tolist() for ring in lonlat_rings(outline_m, frame)]
+    return [np.round(ring, DEGREE_DECIMALS).tolist() for ring in lonlat_rings(outline_m, frame)]
 
 
 def _kml(
@@ -141,19 +137,19 @@ def _kml(
 ) -> bytes:
     """Return results as KML; photos with an address stand in the landscape.
 
-    Each candidate is a place and a view of 2 km. The first candidate of each photo has a
+    Each candidate is a point and a view of 2 km. The first candidate of each photo has a
     PhotoOverlay, which shows the file at the photo's address.
     """
     root, folder = kml_document()
     add(folder, "name", "Where the photos were taken")
     for result, href in zip(results, hrefs, strict=True):
         name = Path(result.name).name
-        places = [_Placemark.of(name, one) for one in result.candidates]
-        for place in places:
-            _add_place(folder, place, frames[place.pose.area])
+        marks = [_Placemark.of(name, one) for one in result.candidates]
+        for mark in marks:
+            _add_placemark(folder, mark, frames[mark.pose.area])
         is_flat = result.skyline.projection is Projection.PERSPECTIVE
-        if href is not None and places and is_flat:
-            _add_photo(folder, name, result.skyline, places[0], href)
+        if href is not None and marks and is_flat:
+            _add_photo(folder, name, result.skyline, marks[0], href)
     return xml_bytes(root)
 
 
@@ -196,26 +192,26 @@ def _kmz(results: Sequence[MatchResult], frames: Sequence[Frame], photos: Photos
     return file.getvalue()
 
 
-def _add_place(folder: Xml.Element, place: _Placemark, frame: Frame) -> None:
+def _add_placemark(folder: Xml.Element, mark: _Placemark, frame: Frame) -> None:
     """Add a pose to KML, with its view."""
-    mark = add(folder, "Placemark")
-    add(mark, "name", place.name)
-    add(mark, "description", place.description)
-    shapes = add(mark, "MultiGeometry")
-    add(add(shapes, "Point"), "coordinates", place.coordinates)
-    for outline in _rings(view_wedge_m(place.pose, VIEW_REACH_M), frame):
+    element = add(folder, "Placemark")
+    add(element, "name", mark.name)
+    add(element, "description", mark.description)
+    shapes = add(element, "MultiGeometry")
+    add(add(shapes, "Point"), "coordinates", mark.coordinates)
+    for outline in _rings(view_wedge_m(mark.pose, VIEW_REACH_M), frame):
         add_polygon(shapes, [outline])
 
 
 def _add_photo(
-    folder: Xml.Element, name: str, skyline: PhotoSkyline, place: _Placemark, href: str
+    folder: Xml.Element, name: str, skyline: PhotoSkyline, mark: _Placemark, href: str
 ) -> None:
     """Add a PhotoOverlay to KML: the photo standing before the camera."""
-    pose = place.pose
+    pose = mark.pose
     side_deg = pose.fov_deg / 2.0
     up = math.tan(math.radians(side_deg)) * skyline.height_px / skyline.width_px
     text = _OVERLAY.format(
-        place=place,
+        mark=mark,
         pose=pose,
         # A tilt counts from straight down, a roll counter-clockwise as seen from behind.
         tilt_deg=90.0 + pose.pitch_deg,
@@ -234,11 +230,11 @@ def _gpx(results: Sequence[MatchResult]) -> bytes:
     root = Xml.Element("gpx", xmlns=namespace, version="1.1", creator="skyline")
     for result in results:
         for candidate in result.candidates:
-            place = _Placemark.of(Path(result.name).name, candidate)
-            point = add(root, "wpt", lat=place.lat, lon=place.lon)
+            mark = _Placemark.of(Path(result.name).name, candidate)
+            point = add(root, "wpt", lat=mark.lat, lon=mark.lon)
             add(point, "ele", f"{candidate.eye_elevation_m:.1f}")
-            add(point, "name", place.name)
-            add(point, "desc", place.description)
+            add(point, "name", mark.name)
+            add(point, "desc", mark.description)
     return xml_bytes(root)
 
 
@@ -292,20 +288,3 @@ def export_matches(
         raise InputError(f"{len(photos)} photos are given for {len(results)} results")
     content = EXPORTS[suffix_of(path, EXPORTS)](path, results, frames, photos)
     write_whole(path, content)
-
-
-def write_geopackage(store: Store, path: Path) -> int:
-    """Write the places of a store as points of a GeoPackage.
-
-    A point has its spacing and tolerance. Returns the number of places.
-
-    Raises `InputError` for a store of renderings, for a path that cannot be written or does not end
-    in ``.gpkg``, and without GeoPandas; `StoreError` for damaged data.
-    """
-    suffix_of(path, [".gpkg"])
-    table = store.to_geodataframe()
-    # The file is made in memory: SQLite needs file locks, which some network folders lack.
-    held = io.BytesIO()
-    table.to_file(held, layer="places", driver="GPKG")
-    write_whole(path, held.getvalue())
-    return len(table)

@@ -8,8 +8,8 @@ import numpy as np
 
 from skyline.arrays import Float64Array
 from skyline.errors import InputError, printable, suffix_of
-from skyline.files.disk import GEOJSON, write_whole
-from skyline.files.geojson import Json, collection, feature
+from skyline.files.disk import write_whole
+from skyline.files.geojson import GEOJSON, Json, collection, feature
 from skyline.geodesy.antimeridian import lonlat_rings
 from skyline.match.posterior import SHARES, Posterior
 from skyline.report.geotiff import GEOTIFFS, geotiff

@@ -10,8 +10,8 @@ import numpy as np
 
 from skyline.arrays import Float64Array
 from skyline.errors import library, suffix_of
-from skyline.files.disk import GEOJSON, write_whole
-from skyline.files.geojson import Json, collection, feature
+from skyline.files.disk import write_whole
+from skyline.files.geojson import DEGREE_DECIMALS, GEOJSON, Json, collection, feature
 from skyline.files.shapes import LINE, POINT, POLYGON
 from skyline.files.vectors import PHOTO_MEMBER, VERTICES_LAYER
 from skyline.geodesy.map_frame import Frame
@@ -22,10 +22,8 @@ from skyline.report.kml import add, add_coordinates, add_polygon, kml_document, 
 
 MAP_FILES = (*GEOJSON, ".gpkg", ".kml")
 """Suffixes of shapes on the map."""
-_DEGREES = 7
-"""Decimals of degrees: a centimetre on the ground."""
-_METRES = 2
-_PIXELS = 2
+_METRE_DECIMALS = 2
+_PIXEL_DECIMALS = 2
 _NAMES = ("name", "label", "category", "id")
 """Properties that may name a shape; the first one present counts."""
 
@@ -60,7 +58,7 @@ def write_in_photo(path: Path, shapes: Sequence[PhotoShape], photo: Path, form: 
     features = []
     for one in shapes:
         for part, hidden in one.parts(form.width_px, form.height_px):
-            pixels = np.round(part, _PIXELS).tolist()
+            pixels = np.round(part, _PIXEL_DECIMALS).tolist()
             geometry = (POINT, pixels[0]) if one.shape.kind == POINT else (LINE, pixels)
             features.append(feature(*geometry, {**one.shape.properties, "hidden": hidden}))
     write_whole(path, _text(features, **{PHOTO_MEMBER: {"name": photo.name, **size}}))
@@ -97,19 +95,19 @@ def _measures(found: GroundShape) -> Json:
     figures: Json = {}
     if found.area is not None:
         figures |= {
-            "area_m2": round(found.area.value, _METRES),
-            "area_sd_m2": round(found.area.sd, _METRES),
+            "area_m2": round(found.area.value, _METRE_DECIMALS),
+            "area_sd_m2": round(found.area.sd, _METRE_DECIMALS),
         }
     if found.length is not None and found.slope_length_m is not None:
         figures |= {
-            "length_m": round(found.length.value, _METRES),
-            "length_sd_m": round(found.length.sd, _METRES),
-            "slope_length_m": round(found.slope_length_m, _METRES),
+            "length_m": round(found.length.value, _METRE_DECIMALS),
+            "length_sd_m": round(found.length.sd, _METRE_DECIMALS),
+            "slope_length_m": round(found.slope_length_m, _METRE_DECIMALS),
         }
     jump_m = 0.0 if found.jump is None else found.jump.far_m - found.jump.near_m
     return figures | {
-        "jump_m": round(jump_m, _METRES),
-        "error_m": round(float(np.median(vertices.error_m)), _METRES),
+        "jump_m": round(jump_m, _METRE_DECIMALS),
+        "error_m": round(float(np.median(vertices.error_m)), _METRE_DECIMALS),
         "grazing_share": round(float(vertices.is_grazing.mean()), 3),
     }
 
@@ -125,10 +123,10 @@ def _errors(points: GroundPoints, index: int, frame: Frame) -> Json:
         "lon": lon,
         "lat": lat,
         "elevation_m": elevation_m,
-        "distance_m": round(float(one.distance_m[0]), _METRES),
-        "error_m": round(float(one.error_m[0]), _METRES),
-        "semi_major_m": round(major_m, _METRES),
-        "semi_minor_m": round(minor_m, _METRES),
+        "distance_m": round(float(one.distance_m[0]), _METRE_DECIMALS),
+        "error_m": round(float(one.error_m[0]), _METRE_DECIMALS),
+        "semi_major_m": round(major_m, _METRE_DECIMALS),
+        "semi_minor_m": round(minor_m, _METRE_DECIMALS),
         "azimuth_deg": round(turn_deg % 180.0, 1),
         "grazing": bool(one.is_grazing[0]),
     }
@@ -137,8 +135,8 @@ def _errors(points: GroundPoints, index: int, frame: Frame) -> Json:
 def _coordinates(points: GroundPoints, frame: Frame) -> Float64Array:
     """Return continuous longitudes, latitudes and elevations (N, 3)."""
     lon, lat = frame.to_lonlat(points.easting_m, points.northing_m)
-    columns = [np.unwrap(lon, period=360.0), lat, np.round(points.elevation_m, _METRES)]
-    return np.stack([*np.round(columns[:2], _DEGREES), columns[2]], axis=1)
+    columns = [np.unwrap(lon, period=360.0), lat, np.round(points.elevation_m, _METRE_DECIMALS)]
+    return np.stack([*np.round(columns[:2], DEGREE_DECIMALS), columns[2]], axis=1)
 
 
 def _turns_left(ring: Sequence[Sequence[float]]) -> bool:

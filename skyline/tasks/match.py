@@ -24,7 +24,6 @@ from skyline.errors import (
     suffix_of,
 )
 from skyline.files.disk import (
-    GEOJSON,
     STANDARD,
     STORE_SUFFIXES,
     check_outputs,
@@ -32,6 +31,7 @@ from skyline.files.disk import (
     read_bytes,
     version_of,
 )
+from skyline.files.geojson import GEOJSON
 from skyline.match.batch import MatcherFiles, match_here, match_many
 from skyline.match.config import MatchConfig
 from skyline.match.distant_shards import distant_shards, opening_of

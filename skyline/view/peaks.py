@@ -13,7 +13,8 @@ import numpy as np
 
 from skyline.arrays import Float64Array, ShortRepr
 from skyline.errors import InputError, one_line, printable
-from skyline.files.disk import GEOJSON, read_bytes
+from skyline.files.disk import read_bytes
+from skyline.files.geojson import GEOJSON
 from skyline.files.tables import Row, read_table
 from skyline.geodesy.crs import WGS84, crs_of_positions, transformer
 from skyline.geodesy.earth import GROUND_M

@@ -12,7 +12,7 @@ from store_rows import PLACES_HEADER, VIEWS_HEADER, numbered_places, numbered_vi
 
 import skyline
 from skyline import Frame, InputError, MatchResult, PhotoSkyline, Pose, open_store
-from skyline.report.exports import write_geopackage
+from skyline.report.place_files import write_geopackage
 
 UTM = Frame(VIEWS_HEADER.frame_wkt)
 BEST = candidate_at(

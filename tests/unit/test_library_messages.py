@@ -42,7 +42,7 @@ from skyline.files.tables import read_table
 from skyline.match.config import MatchConfig
 from skyline.paper.plan import PlanConfig, lay_out, plan
 from skyline.plugins import load
-from skyline.report.exports import write_geopackage
+from skyline.report.place_files import write_geopackage
 from skyline.report.results_file import RESULTS, ResultsFile
 from skyline.survey.cluster import Opening, Runner
 from skyline.survey.plans import uniform_grid
