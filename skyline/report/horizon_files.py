@@ -41,7 +41,7 @@ def write_horizons(horizons: LocalHorizons, path: Path) -> None:
     place would hold several, a surface, an unknown value, or a horizon of another world.
     """
     kind = kind_of_horizons(path)
-    check_fit(path, horizons.size, horizons.has_surface, horizons.crs)
+    check_can_hold(path, horizons.size, horizons.has_surface, horizons.crs)
     if kind not in _OF_MANY and not np.isfinite(horizons.elevation_deg).all():
         raise InputError(
             "the horizon is unknown at some azimuths; choose a place farther from the border of "
@@ -50,7 +50,7 @@ def write_horizons(horizons: LocalHorizons, path: Path) -> None:
     write_whole(path, KINDS[kind](horizons.ravel()))
 
 
-def check_fit(path: Path, places: int, has_surface: bool, crs: CRS) -> None:
+def check_can_hold(path: Path, places: int, has_surface: bool, crs: CRS) -> None:
     """Raise `InputError` unless a file can hold the horizons of some places.
 
     So a command refuses them before it renders. Only ``.csv`` and ``.json`` hold several places, a

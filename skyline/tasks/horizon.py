@@ -10,7 +10,7 @@ from skyline.files.disk import check_outputs
 from skyline.geodesy.earth import Curvature
 from skyline.horizons.horizon import horizons_of, steps_a_turn
 from skyline.horizons.local_horizons import LocalHorizons
-from skyline.report.horizon_files import check_fit, kind_of_horizons, write_horizons
+from skyline.report.horizon_files import check_can_hold, kind_of_horizons, write_horizons
 from skyline.tasks.listener import Listener
 from skyline.tasks.standing import stand_with_notes, warn_of_border
 from skyline.tasks.terrain import curvature_of, read_terrain
@@ -110,7 +110,7 @@ def _round_positions(
     else:
         eyes = stand_with_notes(terrain, task.positions, height_m, within_m, listener)
     if task.output is not None:
-        check_fit(task.output, len(eyes), bool(task.surface), terrain.frame.lonlat_crs)
+        check_can_hold(task.output, len(eyes), bool(task.surface), terrain.frame.lonlat_crs)
     over = read_surface(task.surface, terrain) if task.surface else None
     with listener.progress("rendering") as progress:
         return horizons_of(terrain, eyes, task.step_deg, curvature, progress, over, ids)

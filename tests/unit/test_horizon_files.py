@@ -13,7 +13,7 @@ from skyline.errors import InputError
 from skyline.geodesy.crs import WGS84
 from skyline.horizons.horizon import with_photo
 from skyline.horizons.local_horizons import LocalHorizons
-from skyline.report.horizon_files import check_fit, write_horizons
+from skyline.report.horizon_files import check_can_hold, write_horizons
 
 
 def rising_to_the_east(step_deg=0.5, lat=46.75):
@@ -111,9 +111,9 @@ def test_files_of_one_horizon_refuse_several_or_unknown_ones(tmp_path, name):
 
 
 def test_what_a_file_cannot_hold_is_refused_before_it_is_rendered():
-    check_fit(Path("x.csv"), 2, True, WGS84)
+    check_can_hold(Path("x.csv"), 2, True, WGS84)
     with pytest.raises(InputError, match="would hold 2 horizons"):
-        check_fit(Path("x.txt"), 2, False, WGS84)
+        check_can_hold(Path("x.txt"), 2, False, WGS84)
 
 
 def test_a_photos_skyline_replaces_the_horizon_where_it_is():
