@@ -19,12 +19,12 @@ from rich.table import Table
 
 from skyline.match.matcher import FULL, Matcher
 from skyline.match.result import MatchResult
-from skyline.photo.drawn_skyline import write_overlay
 from skyline.render.depth import DepthRenderer
 from skyline.render.horizon import RenderConfig
 from skyline.report.match_page import report_matches
 from skyline.report.panorama import save_panorama
 from skyline.report.paper_pictures import save_depth_pictures
+from skyline.report.skyline_overlay import write_overlay
 from skyline.survey.build import build_places, build_uniform
 from skyline.terrain.dem import read_dem
 from skyline.terrain.heightfield import HeightField

@@ -6,11 +6,11 @@ from pathlib import Path
 from skyline.camera.projection import Projection
 from skyline.errors import check_suffix, suffix_of
 from skyline.files.disk import check_outputs
-from skyline.photo.drawn_skyline import OVERLAYS, write_overlay
 from skyline.photo.photo import read_photo
 from skyline.photo.read import find_skyline
 from skyline.photo.skyline import PhotoSkyline
 from skyline.photo.trace import TRACES, write_trace
+from skyline.report.skyline_overlay import OVERLAYS, write_overlay
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

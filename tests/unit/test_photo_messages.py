@@ -17,7 +17,6 @@ from skyline.camera.projection import Projection
 from skyline.errors import InputError, MissingFileError, OffMapError
 from skyline.match.areas import paths_of
 from skyline.match.narrowing import Narrowing
-from skyline.photo.drawn_skyline import write_overlay
 from skyline.photo.extract import extract_skyline
 from skyline.photo.image import SizeLimits, opened_image, photos_in, shrink_if_large
 from skyline.photo.photo import read_photo
@@ -25,6 +24,7 @@ from skyline.photo.read import named_skyline, read_skyline
 from skyline.photo.skyline import PhotoSkyline
 from skyline.photo.trace import write_trace
 from skyline.photo.user_sky_model import load_sky_model, model_skyline
+from skyline.report.skyline_overlay import write_overlay
 
 PERSPECTIVE = Projection.PERSPECTIVE
 PLAIN = PhotoSkyline(np.ones(2), np.ones(2), 2, 100)

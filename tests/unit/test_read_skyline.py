@@ -9,11 +9,11 @@ from PIL import Image
 
 from skyline.errors import InputError
 from skyline.match import batch
-from skyline.photo.drawn_skyline import write_overlay
 from skyline.photo.photo import read_photo
 from skyline.photo.read import read_skyline
 from skyline.photo.skyline import PhotoSkyline
 from skyline.photo.trace import read_trace, write_trace
+from skyline.report.skyline_overlay import write_overlay
 
 
 def skyline_of(row_px, height_px=100):

@@ -1,4 +1,4 @@
-"""A photo with its skyline drawn, to check what was found."""
+"""A photo at its full size with its skyline drawn, to check what was found."""
 
 import io
 from pathlib import Path
