@@ -26,7 +26,8 @@ import numpy as np
 
 from skyline.errors import FetchError, InputError, MissingFileError, SkylineError
 from skyline.fetch.dem_tiles import SOURCES, fetch_dem, source_of
-from skyline.files.disk import cache_folder, digest_of, lock_file, version_of
+from skyline.files.disk import cache_folder, digest_of, version_of
+from skyline.files.locks import lock_file
 from skyline.geodesy.bounds import Bounds, check_bounds, contains_box, width_deg
 from skyline.geodesy.earth import EARTH_RADIUS_M
 from skyline.geodesy.map_frame import TRUE_DEG, Frame

@@ -15,7 +15,8 @@ from typer import Argument, Option
 
 from skyline import Matcher, build_places, read_dem, stand_at
 from skyline.errors import MissingFileError
-from skyline.files.disk import check_folder, write_whole
+from skyline.files.disk import write_whole
+from skyline.files.folders import check_folder
 from skyline.render.depth import DepthRenderer
 from skyline.report.match_page import report_matches
 from skyline.survey.plans import map_bounds

@@ -36,7 +36,9 @@ from skyline.fetch.remote import (
     SpoiledError,
     with_remote,
 )
-from skyline.files.disk import check_folder, for_gdal, write_whole
+from skyline.files.disk import write_whole
+from skyline.files.folders import check_folder
+from skyline.files.gdal_names import for_gdal
 from skyline.geodesy.bounds import Bounds, box_around, check_bounds, width_deg
 from skyline.progress import Progress
 from skyline.terrain.raster_files import bands_of, without_secrets

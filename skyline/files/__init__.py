@@ -1,1 +1,1 @@
-"""Files in others' formats, and how files are read and written whole."""
+"""Files: read, written, listed and locked, and the formats of other programs."""

@@ -1,22 +1,21 @@
-"""Files on disk: reading, writing, folders, locks, and names for GDAL.
+"""Files on disk: read, written whole or not at all, and told apart.
 
-A file is written whole or not at all.
+Marks tell Skyline's own files from others, versions and digests a file from what it was.
 """
 
-import fcntl
 import hashlib
 import os
-import re
 import stat
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from functools import cache
-from pathlib import Path, PurePath, PureWindowsPath
-from typing import NoReturn, TextIO
+from pathlib import Path, PureWindowsPath
+from typing import TextIO
 from uuid import uuid4
 
 from skyline.errors import InputError, MissingFileError, printable
+from skyline.files.gdal_names import on_disk
 
 REPORT_PAGE = "index.html"
 """The page of a report's folder."""
@@ -28,19 +27,6 @@ STORE_SUFFIXES = (".h5", ".hdf5")
 """Suffixes of stores."""
 STANDARD = "-"
 """The path that stands for standard input and output."""
-
-_FILE_SUFFIXES = {
-    ".csv", ".geojson", ".gpkg", ".gpx", ".h5", ".hdf5", ".htm", ".html", ".jpeg", ".jpg", ".json",
-    ".kml", ".kmz", ".npz", ".pdf", ".png", ".svg", ".tif", ".tiff", ".txt", ".zip",
-}  # fmt: skip
-"""Suffixes that nobody gives to a folder."""
-
-_SYSTEM_FOLDERS = {
-    "__macosx", "@eadir", "$recycle.bin", "system volume information", "lost+found",
-}  # fmt: skip
-"""Folders that systems make beside a person's own, in lower case."""
-_MEMBER = re.compile(r"/vsizip/\{(.+?\.zip)\}/(.+)", re.DOTALL | re.IGNORECASE)
-"""The name by which GDAL opens a member of a zip archive."""
 
 
 def read_bytes(path: str | Path, expected: str) -> bytes:
@@ -113,18 +99,6 @@ def appearing(path: Path) -> Iterator[Path]:
             partial.unlink(missing_ok=True)
 
 
-def check_folder(path: Path) -> None:
-    """Raise `InputError` for a path that cannot be a folder.
-
-    It is a file, or a new folder with the suffix of a file.
-    """
-    if path.exists() and not path.is_dir():
-        raise InputError(f"{path} is a file; name a folder")
-    suffix = path.suffix.lower()
-    if suffix in _FILE_SUFFIXES and not path.exists():
-        raise InputError(f"{path} would be a folder, and {suffix} promises a file; name a folder")
-
-
 def has_mark(path: Path, mark: bytes) -> bool:
     """Return whether a mark is in the first kilobyte of a file."""
     try:
@@ -147,109 +121,6 @@ def is_own_page(path: Path) -> bool:
     return has_mark(path, PAGE_MARK.encode())
 
 
-def files_in(folder: Path, is_skipped: Callable[[Path], bool] = lambda _: False) -> list[Path]:
-    """Return the files below a folder, in order of path.
-
-    Hidden files and folders are left out, and so are folders that systems make or for which
-    ``is_skipped`` returns True. Links are followed, and each folder is listed once; a link without
-    a target is a file. Raises `InputError` where a folder cannot be listed.
-    """
-
-    def refuse(error: OSError) -> NoReturn:
-        raise InputError(f"{error.filename} cannot be read: {error.strerror}") from error
-
-    found: list[Path] = []
-    listed: set[str] = set()
-    for here, folders, names in os.walk(folder, onerror=refuse, followlinks=True):
-        if os.path.realpath(here) in listed or is_skipped(Path(here)):
-            folders.clear()
-            continue
-        listed.add(os.path.realpath(here))
-        folders[:] = [one for one in folders if not is_of_system(one)]
-        files = (Path(here, name) for name in names if not is_of_system(name))
-        found += (file for file in files if file.is_file() or not file.exists())
-    return sorted(found)
-
-
-def is_of_system(name: str) -> bool:
-    """Return whether a file or folder is hidden or a system's own."""
-    return name.startswith(".") or name.lower() in _SYSTEM_FOLDERS
-
-
-def names_in_words(names: Sequence[str]) -> str:
-    """Return the names of files in words.
-
-    One file of each suffix is named, with the number of the others.
-    """
-    most = 10
-    kinds: dict[str, list[str]] = {}
-    for name in names:
-        kinds.setdefault(PurePath(name).suffix.lower(), []).append(name)
-    shown = [
-        some[0] if len(some) == 1 else f"{some[0]} and {len(some) - 1} more {kind}".rstrip()
-        for kind, some in list(kinds.items())[:most]
-    ]
-    others = sum(map(len, list(kinds.values())[most:]))
-    return ", ".join(shown + [f"{others} others"] * bool(others))
-
-
-def left_out_in_words(names: Sequence[str], expected: str) -> str:
-    """Return a clause on a folder's files that are left out."""
-    if len(names) == 1:
-        return f"1 file is left out, which is not a {expected}: {names_in_words(names)}"
-    return f"{len(names)} files are left out, which are not {expected}: {names_in_words(names)}"
-
-
-def has_locks(path: Path) -> bool:
-    """Return whether a file can be locked.
-
-    In some network folders none can.
-    """
-    with path.open("rb") as file:
-        try:
-            fcntl.lockf(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-        except BlockingIOError:
-            return True
-        except OSError:
-            return False
-    return True
-
-
-def lock_file(path: Path, before_waiting: Callable[[], object] | None = None) -> TextIO | None:
-    """Lock a file, made if it is missing, and return it open.
-
-    If another process holds the lock, returns None, or, with ``before_waiting``, calls it and waits
-    for the lock. Where no file can be locked, the file is returned all the same. The holder of the
-    lock may remove the file. Raises `OSError` if it cannot be made.
-    """
-    while True:
-        with ExitStack() as opened:
-            file = opened.enter_context(path.open("w"))
-            try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                if before_waiting is None:
-                    return None
-                before_waiting()
-                fcntl.flock(file, fcntl.LOCK_EX)
-            except OSError:
-                pass  # Some network folders have no locks.
-            # A file that another process has removed meanwhile locks nothing.
-            with suppress(FileNotFoundError):
-                if os.path.samestat(os.fstat(file.fileno()), path.stat()):
-                    opened.pop_all()
-                    return file
-
-
-def lies_in_any(output: Path, folders: Iterable[str]) -> bool:
-    """Return whether an output is one of some folders, or inside one.
-
-    It may lie in a folder of such a folder.
-    """
-    resolved = output.resolve()
-    return not {Path(one).resolve() for one in folders}.isdisjoint([resolved, *resolved.parents])
-
-
 def check_outputs(
     outputs: Iterable[Path | None], inputs: Iterable[Path], folder: Path | None = None
 ) -> None:
@@ -270,44 +141,6 @@ def check_outputs(
         parent = next(one for one in path.resolve().parents if one.exists())
         if str(path) != STANDARD and not os.access(parent, os.W_OK | os.X_OK):
             raise InputError(f"{path} cannot be written: there are no rights to write in {parent}")
-
-
-def for_gdal(name: str) -> str:
-    """Return a path or an address for GDAL to open.
-
-    Raises `InputError` if it is not UTF-8.
-    """
-    try:
-        name.encode()
-    except UnicodeEncodeError:
-        raise InputError(
-            f"{name} cannot be opened by GDAL, since it is not UTF-8; rename the file or folder, "
-            "or name a link to it"
-        ) from None
-    return name
-
-
-def member_name(archive: str | Path, member: str) -> str:
-    """Return GDAL's name for a member of a zip archive."""
-    return f"/vsizip/{{{archive}}}/{member}"
-
-
-def archive_of(name: str) -> tuple[str, str] | None:
-    """Return the archive and the member of a `member_name`.
-
-    Returns None for any other name.
-    """
-    parts = _MEMBER.fullmatch(name)
-    return None if parts is None else (parts[1], parts[2])
-
-
-def on_disk(name: str | Path) -> str | Path:
-    """Return the file that GDAL reads under a name.
-
-    It is a member's archive, or the name itself.
-    """
-    parts = archive_of(str(name))
-    return name if parts is None else parts[0]
 
 
 def is_file(path: str | Path) -> bool:

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from skyline.errors import InputError, SkylineError, StoreError
-from skyline.files.disk import is_file, on_disk
+from skyline.files.disk import is_file
+from skyline.files.gdal_names import on_disk
 from skyline.geodesy.map_frame import Frame
 from skyline.store.layout import StoreHeader
 from skyline.store.read import Store

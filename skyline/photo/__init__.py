@@ -1,1 +1,1 @@
-"""From photos, sky masks and traces to skylines in pixels."""
+"""From photos, sky masks and traces to skylines in pixels, and what their files note."""

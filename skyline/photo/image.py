@@ -22,7 +22,8 @@ from PIL.ExifTags import Base
 
 from skyline.arrays import UInt8Array
 from skyline.errors import InputError, MissingFileError
-from skyline.files.disk import STANDARD, files_in, left_out_in_words, names_in_words, read_bytes
+from skyline.files.disk import STANDARD, read_bytes
+from skyline.files.folders import files_in, left_out_in_words, names_in_words
 from skyline.files.tables import is_table
 from skyline.store.read import is_store
 

@@ -1,1 +1,1 @@
-"""Poses of cameras: fitted, noted, in files, and their errors."""
+"""Poses of cameras: on maps, in columns and in files, and their errors."""

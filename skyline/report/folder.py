@@ -4,7 +4,8 @@ import re
 from pathlib import Path
 
 from skyline.errors import InputError
-from skyline.files.disk import REPORT_PAGE, check_folder, is_own_page
+from skyline.files.disk import REPORT_PAGE, is_own_page
+from skyline.files.folders import check_folder
 
 CANDIDATES = "matches.geojson"
 _FILES = re.compile(rf"{REPORT_PAGE}|{CANDIDATES}|\d\d+-(overlay\.jpg|(map|detail)\.png)")

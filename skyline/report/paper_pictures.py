@@ -14,7 +14,8 @@ from matplotlib.transforms import Bbox
 
 from skyline.arrays import Float32Array, Float64Array
 from skyline.errors import InputError
-from skyline.files.disk import check_folder, write_whole
+from skyline.files.disk import write_whole
+from skyline.files.folders import check_folder
 from skyline.paper.plan import CoveragePlan
 from skyline.paper.planners import Coverage
 from skyline.progress import Progress

@@ -16,7 +16,8 @@ from pathlib import Path
 from typing import Any, Self
 
 from skyline.errors import BusyError, InputError, SkylineError
-from skyline.files.disk import has_locks, lock_file, write_whole
+from skyline.files.disk import write_whole
+from skyline.files.locks import has_locks, lock_file
 from skyline.files.tables import csv_lines, unguarded
 
 Row = Mapping[str, Any]

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from skyline.errors import InputError, suffix_of
-from skyline.files.disk import check_outputs, on_disk, write_whole
+from skyline.files.disk import check_outputs, write_whole
+from skyline.files.gdal_names import on_disk
 from skyline.files.geojson import GEOJSON
 from skyline.files.shapes import Vectors
 from skyline.files.vectors import read_vectors

@@ -8,7 +8,8 @@ import numpy as np
 
 from skyline.camera.projection import Projection
 from skyline.errors import InputError, suffix_of
-from skyline.files.disk import check_outputs, on_disk
+from skyline.files.disk import check_outputs
+from skyline.files.gdal_names import on_disk
 from skyline.pose.pose_files import read_posed
 from skyline.report.geotiff import GEOTIFFS
 from skyline.report.ortho import (

@@ -4,7 +4,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from skyline.errors import suffix_of
-from skyline.files.disk import check_outputs, on_disk
+from skyline.files.disk import check_outputs
+from skyline.files.gdal_names import on_disk
 from skyline.ground.pixel_places import PIXEL_FILES, PixelPlaces
 from skyline.tasks.listener import Listener
 from skyline.tasks.photo_task import PosedTask

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from skyline.errors import InputError, suffix_of
-from skyline.files.disk import check_folder, lies_in_any
+from skyline.files.folders import check_folder, lies_in_any
 from skyline.geodesy.bounds import Bounds
 from skyline.paper.build import build_planned
 from skyline.paper.plan import CoveragePlan, PlanConfig

@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from skyline.errors import InputError
-from skyline.files.disk import lies_in_any
+from skyline.files.folders import lies_in_any
 from skyline.geodesy.earth import Curvature
 from skyline.progress import Step
 from skyline.tasks.listener import Listener

@@ -12,7 +12,9 @@ from typing import Any
 import numpy as np
 
 from skyline.errors import InputError, MissingFileError
-from skyline.files.disk import files_in, for_gdal, is_file
+from skyline.files.disk import is_file
+from skyline.files.folders import files_in
+from skyline.files.gdal_names import for_gdal
 
 Paths = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
 """One or several elevation files, folders or zip archives of them, addresses, or GDAL names."""

@@ -18,15 +18,9 @@ from rasterio.coords import BoundingBox
 from rasterio.enums import ColorInterp
 
 from skyline.errors import InputError, MissingFileError
-from skyline.files.disk import (
-    archive_of,
-    for_gdal,
-    is_file,
-    is_of_system,
-    left_out_in_words,
-    member_name,
-    names_in_words,
-)
+from skyline.files.disk import is_file
+from skyline.files.folders import is_of_system, left_out_in_words, names_in_words
+from skyline.files.gdal_names import archive_of, for_gdal, member_name
 from skyline.terrain.raster_files import (
     NOT_RECOGNIZED,
     bands_of,

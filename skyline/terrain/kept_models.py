@@ -18,14 +18,8 @@ from pathlib import Path
 from pyproj.datadir import get_data_dir, get_user_data_dir  # type: ignore[attr-defined]
 
 from skyline.errors import SkylineError
-from skyline.files.disk import (
-    STORE_SUFFIXES,
-    archive_of,
-    cache_folder,
-    digest_of,
-    is_file,
-    version_of,
-)
+from skyline.files.disk import STORE_SUFFIXES, cache_folder, digest_of, is_file, version_of
+from skyline.files.gdal_names import archive_of
 from skyline.terrain.field_files import SUFFIX, LoggedWarning, read_field, save_dem
 from skyline.terrain.heightfield import HeightField, field_of
 from skyline.terrain.metric_dem import MetricDem

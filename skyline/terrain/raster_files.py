@@ -20,7 +20,8 @@ from rasterio.enums import ColorInterp
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
 
 from skyline.errors import FetchError, InputError, one_line
-from skyline.files.disk import archive_of, is_file
+from skyline.files.disk import is_file
+from skyline.files.gdal_names import archive_of
 
 NOT_RECOGNIZED = "not recognized as being in"
 """GDAL's words for a file of an unknown format."""

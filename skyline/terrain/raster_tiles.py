@@ -28,7 +28,8 @@ from rasterio.windows import Window
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array
 from skyline.errors import InputError, SkylineError, library, one_line
-from skyline.files.disk import STORE_SCHEMA, archive_of, is_file, on_disk
+from skyline.files.disk import STORE_SCHEMA, is_file
+from skyline.files.gdal_names import archive_of, on_disk
 from skyline.geodesy.crs import without_vertical
 from skyline.terrain.datums import (
     SAME_UNIT,
