@@ -11,7 +11,7 @@ import csv
 import io
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -188,28 +188,12 @@ def read_table(
     before = next((k for k, one in enumerate(is_note) if not one), len(lines))
     heading = next((line for line in lines[before:] if line.strip()), "")
     separator = max(",;\t", key=heading.count)
-    reader = csv.reader(lines[before:], delimiter=separator, skipinitialspace=True)
-    header: tuple[str, ...] = ()
-    found = []
-    try:
-        for record in reader:
-            cells = [unguarded(cell.strip()) for cell in record]
-            where = f"{path}, line {before + reader.line_num}"
-            if not any(cells):
-                continue
-            if not header:
-                # Spreadsheets write empty columns at the end.
-                names = cells[: max(k for k, cell in enumerate(cells, start=1) if cell)]
-                header = tuple(_column(name, other_names or {}) for name in names)
-                continue
-            if any(cells[len(header) :]):
-                raise InputError(
-                    f"{where} has {len(cells)} cells; expected {len(header)} for "
-                    f"`{','.join(header)[:_SHOWN]}`: put text with a separator in quotes"
-                )
-            found.append((where, dict(zip(header, cells, strict=False))))
-    except csv.Error as error:
-        raise InputError(f"{path} cannot be read as CSV ({error}); {expected}") from None
+    records = _records(path, expected, lines, before, separator)
+    _, names = next(records, ("", []))
+    # Spreadsheets write empty columns at the end.
+    last = max((k for k, name in enumerate(names, start=1) if name), default=0)
+    header = tuple(_column(name, other_names or {}) for name in names[:last])
+    found = [(where, _by_column(where, header, cells)) for where, cells in records]
     if not header:
         raise InputError(f"{path} is empty; {expected}")
     if twice := {name for name in header if name and header.count(name) > 1}:
@@ -221,6 +205,33 @@ def read_table(
         )
     rows = [Row(where, cells, marks, separator != ",") for where, cells in found]
     return Table(path, header, rows, list(map(_unquoted, lines[:before])))
+
+
+def _records(
+    path: str | Path, expected: str, lines: Sequence[str], before: int, separator: str
+) -> Iterator[tuple[str, list[str]]]:
+    """Yield the line and the cells of each record that is not empty.
+
+    The first is the header; ``before`` lines of notes stand before it.
+    """
+    reader = csv.reader(lines[before:], delimiter=separator, skipinitialspace=True)
+    try:
+        for record in reader:
+            cells = [unguarded(cell.strip()) for cell in record]
+            if any(cells):
+                yield f"{path}, line {before + reader.line_num}", cells
+    except csv.Error as error:
+        raise InputError(f"{path} cannot be read as CSV ({error}); {expected}") from None
+
+
+def _by_column(where: str, header: Sequence[str], cells: Sequence[str]) -> dict[str, str]:
+    """Return a row's cells by column; raises `InputError` for more cells."""
+    if any(cells[len(header) :]):
+        raise InputError(
+            f"{where} has {len(cells)} cells; expected {len(header)} for "
+            f"`{','.join(header)[:_SHOWN]}`: put text with a separator in quotes"
+        )
+    return dict(zip(header, cells, strict=False))
 
 
 def _unquoted(line: str) -> str:

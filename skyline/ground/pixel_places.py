@@ -137,14 +137,18 @@ class PixelPlaces(ShortRepr):
         InputError
             The suffix is a different one, or the file cannot be written.
         """
-        path, suffix = Path(path), suffix_of(path, PIXEL_FILES)
-        about = json.dumps(pose.to_dict())
-        arrays = [getattr(self, name) for name in _BANDS]
-        if suffix == ".npz":
-            file = io.BytesIO()
-            np.savez(file, **dict(zip(_BANDS, arrays, strict=True)), step=self.step, pose=about)
-            write_whole(path, file.getvalue())
-            return
+        content_of = {".npz": self._npz, ".tif": self._tiff}[suffix_of(path, PIXEL_FILES)]
+        write_whole(Path(path), content_of(json.dumps(pose.to_dict())))
+
+    def _npz(self, pose: str) -> bytes:
+        """Return the arrays, and a pose as JSON, in NumPy's format."""
+        file = io.BytesIO()
+        arrays = {name: getattr(self, name) for name in _BANDS}
+        np.savez(file, **arrays, step=self.step, pose=pose)
+        return file.getvalue()
+
+    def _tiff(self, pose: str) -> bytes:
+        """Return the arrays as bands, and a pose as JSON in a tag."""
         from rasterio.errors import NotGeoreferencedWarning  # noqa: PLC0415  (slow to load)
         from rasterio.io import MemoryFile  # noqa: PLC0415
 
@@ -155,8 +159,8 @@ class PixelPlaces(ShortRepr):
             with memory.open(
                 driver="GTiff", **size, nodata=np.nan, compress="deflate", BIGTIFF="IF_SAFER"
             ) as raster:
-                for band, (name, values) in enumerate(zip(_BANDS, arrays, strict=True), start=1):
-                    raster.write(values.astype(np.float64), band)
+                for band, name in enumerate(_BANDS, start=1):
+                    raster.write(getattr(self, name).astype(np.float64), band)
                     raster.set_band_description(band, name)
-                raster.update_tags(pose=about, step=self.step)
-            write_whole(path, memory.read())
+                raster.update_tags(pose=pose, step=self.step)
+            return bytes(memory.read())
