@@ -273,6 +273,10 @@ class Horizons(Rows):
     distance_m: Float32Array
     flags: UInt8Array
 
+    def elevation_deg(self) -> Float32Array:
+        """Return elevation angles of the skyline, shape (N, B), degrees."""
+        return np.degrees(np.arctan(self.elevation_tan))
+
 
 def polyline_vertices(
     curves: FloatArray, tolerance: float, max_vertices: int = DEFAULT_MAX_KEYPOINTS

@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pyproj import CRS
 
-from skyline.arrays import Float32Array, Float64Array, IntArray, refuse_text
+from skyline.arrays import BoolArray, Float32Array, Float64Array, IntArray, refuse_text
 from skyline.errors import InputError, library
 from skyline.files.cf import DEGREES, METRES, TRUE_NORTH
 from skyline.geodesy.crs import lonlat_of, transformer
 from skyline.geodesy.earth import Curvature
-from skyline.horizons.horizon import steps_a_turn
+from skyline.horizons.horizon import rendered_steps, steps_a_turn
 from skyline.horizons.local_horizons import azimuths_deg
 from skyline.progress import Progress
 from skyline.render.horizon import PanoramaRenderer
@@ -278,7 +278,7 @@ class _Eyes:
             raise InputError(f"the eye is {eye_height_m:g} m above ground; expected 0 or more")
         return cls(_Grid.of(dem), steps, eye_height_m, curvature)
 
-    def look(self, rows: IntArray, cols: IntArray) -> tuple[Float64Array, Any]:
+    def look(self, rows: IntArray, cols: IntArray) -> tuple[Float32Array, BoolArray]:
         """Return horizons (N, A) in degrees, and where the eyes stand.
 
         The second result marks (rows, columns) with the N eyes.
@@ -294,10 +294,11 @@ class _Eyes:
         )[stands]
         with self._making:
             if self._renderer is None:
-                self._renderer = PanoramaRenderer(field, math.lcm(self.steps, 8), self._curvature)
+                self._renderer = PanoramaRenderer(
+                    field, rendered_steps(self.steps), self._curvature
+                )
         seen = self._renderer.render_from_north(eyes, self.steps)
-        elevation_deg = np.degrees(np.arctan(seen.elevation_tan))
-        return elevation_deg, stands.reshape(len(rows), len(cols))
+        return seen.elevation_deg(), stands.reshape(len(rows), len(cols))
 
     def close(self) -> None:
         """Free the renderer's memory."""

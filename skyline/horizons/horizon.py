@@ -119,26 +119,26 @@ def horizon(  # noqa: PLR0913  (independent conditions)
     shape = places[0].shape
     east, north, up = (one.ravel() for one in places)
     eyes = stand_at(terrain, lon=east, lat=north, eye_height_m=up, summit_within_m=summit_within_m)
-    names = np.full(shape, "") if ids is None else _names_of(ids)
-    if names.shape != shape:
+    texts = np.full(shape, "") if ids is None else _texts_of(ids)
+    if texts.shape != shape:
         raise InputError(
-            f"the places have the shape {shape}, and the ids {names.shape}; give an id for each"
+            f"the places have the shape {shape}, and the ids {texts.shape}; give an id for each"
         )
     over = None if surface is None else read_surface(surface, terrain)
     found = horizons_of(
-        terrain, eyes, step_deg, curvature, surface=over, ids=names.ravel().tolist()
+        terrain, eyes, step_deg, curvature, surface=over, ids=texts.ravel().tolist()
     )
     return found.reshape(*shape)
 
 
-def _names_of(ids: ArrayLike) -> NDArray[np.str_]:
+def _texts_of(ids: ArrayLike) -> NDArray[np.str_]:
     """Return ids as texts; missing ones, as in pandas, are empty."""
     given = np.asarray(ids, dtype=object)
-    names = [
+    texts = [
         "" if not isinstance(one, str) and str(one) in _MISSING else str(one)
         for one in given.ravel().tolist()
     ]
-    return np.array(names, dtype=np.str_).reshape(given.shape)
+    return np.array(texts, dtype=np.str_).reshape(given.shape)
 
 
 def horizons_of(
@@ -159,7 +159,7 @@ def horizons_of(
     def in_parts(field: HeightField) -> Horizons:
         """Render a field in parts, with a report of progress after each."""
         parts: list[Horizons] = []
-        with PanoramaRenderer(field, math.lcm(steps, 8), curvature) as renderer:
+        with PanoramaRenderer(field, rendered_steps(steps), curvature) as renderer:
             for start in range(0, len(eyes), _AT_ONCE):
                 part = slice(start, start + _AT_ONCE)
                 parts.append(renderer.render_from_north(eyes[part], steps))
@@ -168,13 +168,11 @@ def horizons_of(
         return Horizons.concatenate(parts)
 
     rendered = in_parts(terrain)
-    elevation_deg = np.degrees(np.arctan(rendered.elevation_tan))
+    elevation_deg = rendered.elevation_deg()
     surface_deg = np.full_like(elevation_deg, np.nan)
     if surface is not None:
-        over = in_parts(surface)
         # Rounding in the surface model must not put it below the terrain.
-        surface_deg = np.degrees(np.arctan(over.elevation_tan))
-        surface_deg = np.maximum(surface_deg, elevation_deg)
+        surface_deg = np.maximum(in_parts(surface).elevation_deg(), elevation_deg)
     return LocalHorizons(
         lon,
         lat,
@@ -200,3 +198,8 @@ def steps_a_turn(step_deg: float) -> int:
             f"{360.0 / most:.3g} to {360.0 / _LEAST_STEPS:g}: 0.5, 1 or 7.5"
         )
     return steps
+
+
+def rendered_steps(steps: int) -> int:
+    """Return the least multiple of a turn's steps that can be rendered."""
+    return math.lcm(steps, _LEAST_STEPS)
