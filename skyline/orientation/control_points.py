@@ -295,7 +295,10 @@ class _Fit:
         )[: len(self.known.precision)]  # fmt: skip
 
     def _check_elevations(self, ground_m: Float64Array) -> None:
-        """Raise `InputError` for a point far from the ground, as one in feet is."""
+        """Raise `InputError` for a point far from the ground.
+
+        A point whose elevation is in feet is far from it.
+        """
         points = self.points
         above_m = points.elevation_m - ground_m
         lowest_m, highest_m = _OFF_GROUND_M

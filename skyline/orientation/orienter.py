@@ -407,7 +407,7 @@ class Orienter(Closeable):
         )
 
     def _unsure(self, poses: Poses, pose: Pose, sure: float) -> str | None:
-        """Return `_too_unsure` with a hint, or None for a heading that is sure."""
+        """Return the refusal of an unsure heading with a hint, or None."""
         if sure >= LEAST_CONFIDENCE:
             return None
         doubt = _too_unsure(sure)
