@@ -1,6 +1,7 @@
 """Poses in files, as commands print them and people write them."""
 
 import json
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -76,26 +77,36 @@ def read_pose(path: Path, photo: Path) -> PoseRecord:
     if it has no such pose, or the pose of a photo with another name.
     """
     record = _record_of(_records_in(path), path, photo)
-    if isinstance(record, dict) and record.get("type") in {"FeatureCollection", "Feature"}:
+    if not isinstance(record, dict):
+        return PoseRecord(path, record)
+    if record.get("type") in {"FeatureCollection", "Feature"}:
         raise InputError(f"pose {path} is GeoJSON, which draws poses on maps; {EXPECTED_RECORD}")
     _check_name(record, path, photo)
+    if isinstance(record.get("candidates"), list):
+        return _best_of_match(record, path)
     doubt = ""
-    if isinstance(record, dict) and isinstance(record.get("candidates"), list):
-        candidates = record["candidates"]
-        if not candidates:
-            raise InputError(f"pose {path} is of a match that found no place; give another pose")
-        if record.get("answer") is None:
-            doubt = f"{path} has no answer, so the best candidate is taken"
-        form = {name: record.get(name) for name in _FORM}
-        record = record.get("answer") or candidates[0]
-        if isinstance(record, dict):
-            record = form | record
-    elif isinstance(record, dict) and record.get("refusal"):
+    if record.get("refusal"):
         doubt = f"the pose in {path} is not trusted: {printable(str(record['refusal']))}"
-    if isinstance(record, dict) and "trusted" in record:
+    if "trusted" in record:
         # An orientation has its eye's elevation, and also the height that follows from it.
         record = {**record, "eye_height_m": None}
     return PoseRecord(path, record, doubt)
+
+
+def _best_of_match(match: Mapping[str, Any], path: Path) -> PoseRecord:
+    """Return the record of a match's answer, else of its best candidate.
+
+    Raises `InputError` for a match without candidates.
+    """
+    candidates = match["candidates"]
+    if not candidates:
+        raise InputError(f"pose {path} is of a match that found no place; give another pose")
+    best = match.get("answer") or candidates[0]
+    if isinstance(best, dict):
+        best = {name: match.get(name) for name in _FORM} | best
+    is_answer = match.get("answer") is not None
+    doubt = "" if is_answer else f"{path} has no answer, so the best candidate is taken"
+    return PoseRecord(path, best, doubt)
 
 
 def read_posed(
@@ -111,9 +122,9 @@ def read_posed(
     return read, record.pose(read)
 
 
-def _check_name(record: Any, path: Path, photo: Path) -> None:
+def _check_name(record: Mapping[str, Any], path: Path, photo: Path) -> None:
     """Raise `InputError` for the record of a photo with another name."""
-    named = record.get("photo") if isinstance(record, dict) else None
+    named = record.get("photo")
     if named and not is_name_of(str(named), photo):
         raise InputError(
             f"pose {path} is of {printable(str(named))}, not of {photo}; give the pose of this "
