@@ -6,6 +6,7 @@ import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -175,6 +176,17 @@ def draw_panorama(view: PanoramaView) -> tuple[Figure, UnnamedPeaks]:
     return figure, unnamed
 
 
+class _Name(NamedTuple):
+    """The name of a summit, and where the summit stands."""
+
+    label: Label[Sighting]
+    azimuth_deg: float
+    summit_deg: float
+    """Elevation angle of the summit."""
+    wide_in: float
+    """Width of the upright name."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _Row:
     """One row of the picture: its azimuths, elevation angles and names."""
@@ -185,9 +197,7 @@ class _Row:
     """Azimuths of the left and the right end."""
     span_deg: tuple[float, float]
     """Elevation angles of the lower and the upper border."""
-    names: list[tuple[Label[Sighting], float, float, float]]
-    """(label, azimuth_deg, summit_deg, wide_in) of each name, which is ``wide_in`` wide when
-    upright."""
+    names: list[_Name]
     in_a_deg: float
     """Inches per degree, sideways and upwards."""
     high_in: float
@@ -216,12 +226,12 @@ class _Row:
         for label in labels:
             one = label.peak
             true_deg = one.grid_azimuth_deg + view.landscape.convergence_deg
-            azimuth = ends[0] + (true_deg - ends[0]) % 360.0
+            azimuth_deg = ends[0] + (true_deg - ends[0]) % 360.0
             summit_deg = float(np.degrees(np.arctan(one.elevation_tan)))
-            if azimuth < ends[1] and summit_deg > low_deg:
+            if azimuth_deg < ends[1] and summit_deg > low_deg:
                 # The upright name is as high as the text is long.
                 long_px, wide_px = label.extent_px(figure, _LAYOUT.font_pt)
-                names.append((label, azimuth, summit_deg, wide_px / figure.dpi))
+                names.append(_Name(label, azimuth_deg, summit_deg, wide_px / figure.dpi))
                 names_in = max(names_in, long_px / figure.dpi + 0.35)
         in_a_deg = _LAYOUT.row_in / row_deg
         high_in = in_a_deg * (high_deg - low_deg)
@@ -321,19 +331,19 @@ def _draw_names(axis: Axes, row: _Row) -> list[Label[Sighting]]:
     begin, end = row.ends_deg
     in_a_deg = row.in_a_deg
     placed = place_labels(
-        [(azimuth - begin) * in_a_deg for _, azimuth, *_ in row.names],
-        [wide_in for *_, wide_in in row.names],
+        [(name.azimuth_deg - begin) * in_a_deg for name in row.names],
+        [name.wide_in for name in row.names],
         (end - begin) * in_a_deg,
         rows=1,
         gap=0.015,
     )
     leaders = []
     for one in placed:
-        label, azimuth, summit_deg, _ = row.names[one.index]
+        label, azimuth_deg, summit_deg, _ = row.names[one.index]
         middle = begin + 0.5 * (one.left + one.right) / in_a_deg
         high = row.span_deg[1]
         foot = high + 0.15 / in_a_deg
-        leaders.append([(azimuth, summit_deg), (azimuth, high), (middle, foot)])
+        leaders.append([(azimuth_deg, summit_deg), (azimuth_deg, high), (middle, foot)])
         axis.text(
             middle,
             foot + 0.04 / in_a_deg,
@@ -346,7 +356,7 @@ def _draw_names(axis: Axes, row: _Row) -> list[Label[Sighting]]:
             **label.style,
         )
     axis.add_collection(LineCollection(leaders, colors="#333333", linewidths=0.45, clip_on=False))
-    return [row.names[one.index][0] for one in placed]
+    return [row.names[one.index].label for one in placed]
 
 
 def _title(view: PanoramaView) -> str:
