@@ -20,7 +20,7 @@ from skyline.files.disk import write_whole
 from skyline.files.locks import has_locks, lock_file
 from skyline.files.tables import csv_lines, unguarded
 
-Row = Mapping[str, Any]
+Values = Mapping[str, Any]
 """Values by column, as `skyline.match.result.MatchResult.to_row` returns them."""
 
 _COLUMN_TYPES: Mapping[str, str] = {
@@ -115,7 +115,7 @@ class ResultsFile:
     def __exit__(self, *_: object) -> None:
         self._held.close()
 
-    def add(self, row: Row, photo: str) -> None:
+    def add(self, row: Values, photo: str) -> None:
         """Write a photo's row, unless the file has one.
 
         When this returns, the row is on the disk, and is kept whatever happens afterwards.
@@ -156,7 +156,7 @@ def _alone(path: Path) -> Iterator[None]:
             lock.unlink(missing_ok=True)
 
 
-def _error_of(row: Row) -> str | None:
+def _error_of(row: Values) -> str | None:
     """Return the error in the row of an unusable photo.
 
     Only such a row has no seconds. In all others the reason is why there is no answer.
@@ -173,7 +173,7 @@ _SURPLUS = ""
 """The key of cells beyond the last column."""
 
 
-def _known(row: Row) -> _Known:
+def _known(row: Values) -> _Known:
     search, _, photo = row["search"].partition("-")
     return (search, photo), _error_of(row)
 
@@ -204,7 +204,7 @@ def _read_csv(path: Path) -> list[_Known]:
     return known
 
 
-def _append_csv(path: Path, row: Row) -> None:
+def _append_csv(path: Path, row: Values) -> None:
     line = csv_lines([[row[name] for name in _COLUMN_TYPES]])
     with path.open("a", encoding="utf-8") as file:
         file.write(line)
@@ -226,7 +226,7 @@ def _read_points(path: Path) -> list[_Known]:
         return [_known(row) for row in opened.execute("SELECT * FROM photos")]
 
 
-def _append_point(path: Path, row: Row) -> None:
+def _append_point(path: Path, row: Values) -> None:
     """Add a row to a GeoPackage; SQLite writes it as a whole."""
     names = ", ".join(f'"{name}"' for name in ("geom", *_COLUMN_TYPES))
     marks = ", ".join("?" * (len(_COLUMN_TYPES) + 1))
