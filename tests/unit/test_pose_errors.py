@@ -53,7 +53,7 @@ def test_the_covariance_of_a_direction_is_that_of_drawn_poses():
     sampled = np.cov(drawn)
     scale = np.sqrt(np.outer(np.diag(sampled), np.diag(sampled)))
     np.testing.assert_allclose(linear / scale, sampled / scale, atol=0.03)
-    middle = drawn.mean(axis=1) - [seen.azimuth_rad[0], seen.elevation_tan[0]]
+    middle = drawn.mean(axis=1) - [seen.grid_azimuth_rad[0], seen.elevation_tan[0]]
     np.testing.assert_allclose(middle / np.sqrt(np.diag(sampled)), 0.0, atol=0.03)
 
 
