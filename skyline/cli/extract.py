@@ -10,7 +10,7 @@ from typer import Option
 from skyline.cli.options import PhotoProjection, output_option
 from skyline.cli.photo_options import FieldOfView, PhotoFile
 from skyline.cli.terminal import Terminal
-from skyline.tasks.extract import ExtractTask, extract_skyline
+from skyline.tasks.extract import ExtractTask, write_extracted
 
 
 def extract(
@@ -38,7 +38,7 @@ def extract(
         projection=projection,
         sky_model=sky_model,
     )
-    skyline = extract_skyline(task)
+    skyline = write_extracted(task)
     terminal = Terminal.of(context)
     trusted = np.count_nonzero(skyline.trusted)
     terminal.written(output, f"skyline found in {trusted} of {skyline.width_px} columns")

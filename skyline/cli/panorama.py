@@ -18,7 +18,7 @@ from skyline.cli.options import (
 )
 from skyline.cli.terminal import Terminal, size_in_words
 from skyline.report.panorama_view import PanoramaConfig
-from skyline.tasks.panorama import PanoramaTask, draw_panorama
+from skyline.tasks.panorama import PanoramaTask, write_panorama
 
 _DRAWN = PanoramaConfig()
 
@@ -51,5 +51,5 @@ def panorama(
         output=output,
     )
     terminal = Terminal.of(context)
-    named = draw_panorama(task, terminal)
+    named = write_panorama(task, terminal)
     terminal.line(f"{output}: {size_in_words(output.stat().st_size)}{named}")

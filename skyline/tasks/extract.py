@@ -30,7 +30,7 @@ class ExtractTask:
     """As for `find_skyline`."""
 
 
-def extract_skyline(task: ExtractTask) -> PhotoSkyline:
+def write_extracted(task: ExtractTask) -> PhotoSkyline:
     """Find the skyline in a photo, and write it.
 
     Raises `InputError` for files of other kinds, and as `read_photo` and `find_skyline`.

@@ -32,8 +32,8 @@ class PanoramaTask:
     """File of the kinds of `PANORAMA_SUFFIXES`."""
 
 
-def draw_panorama(task: PanoramaTask, listener: Listener) -> str:
-    """Draw the view from a position; return which peaks it names, in words.
+def write_panorama(task: PanoramaTask, listener: Listener) -> str:
+    """Write the view from a position; return which peaks it names, in words.
 
     Raises `InputError` for an output of another kind, and as `stand_at` and `read_peaks`.
     """
