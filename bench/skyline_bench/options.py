@@ -207,9 +207,9 @@ def print_rows(rows: Sequence[Row], columns: str | None = None) -> None:
 
 
 def print_tables(rows: Sequence[Row], columns: Mapping[str, str]) -> None:
-    """Print a table of each thing that is ``measured``, as rows name it.
+    """Print one table for each value of ``measured`` in the rows.
 
-    ``columns`` are as in `print_rows`, by what is measured.
+    ``columns`` holds, for each of these values, the columns as in `print_rows`.
     """
     for measured, its_columns in columns.items():
         some = [row for row in rows if row["measured"] == measured]

@@ -63,9 +63,27 @@ def _hard_cases(results: Results) -> list[str]:
 
 
 def _strangers(results: Results) -> list[str]:
-    rows = {row["group"]: row for row in results.rows("strangers")}
-    answered = [number_of(rows[group], "answered") for group in (ALL, _NEAR, _BETWEEN, _FAR)]
-    return counts(rows[ALL]["n"], *answered)
+    rows = [*results.rows("strangers"), *results.rows("strangers1")]
+    answered = [
+        sum(number_of(row, "answered") for row in rows if row["group"] == group)
+        for group in (ALL, _NEAR, _BETWEEN, _FAR)
+    ]
+    queries = sum(row["n"] for row in rows if row["group"] == ALL)
+    surest = max(row["highest_confidence"] for row in rows)
+    return [*counts(queries, *answered), f"{surest:.2f}"]
+
+
+def _projections(results: Results) -> list[str]:
+    fisheyes, unmarked, panoramas = (
+        results.row("fisheyes", queries=kind, group=ALL)
+        for kind in ("fisheyes", "unmarked fisheyes", "unmarked panoramas")
+    )
+    answered = [number_of(row, "answered") for row in (unmarked, panoramas)]
+    wrong = answered[1] - round(answered[1] * panoramas["precision"])
+    return counts(
+        fisheyes["n"], number_of(fisheyes, "within_200m"), unmarked["n"], answered[0],
+        panoramas["n"], answered[1], wrong,
+    )  # fmt: skip
 
 
 def _elsewhere(results: Results) -> list[str]:
@@ -232,8 +250,15 @@ SENTENCES: Mapping[str, Sequence[Sentence]] = {
         ),
         Sentence(
             "{} queries of the Sierra Nevada were searched in the store of Davos, and {} got an "
-            "answer: {} with a skyline under 150 m away, {} from 150 to 400 m, and {} over 400 m",
+            "answer: {} with a skyline under 150 m away, {} from 150 to 400 m, and {} over 400 m. "
+            "The surest has a confidence of {}",
             _strangers,
+        ),
+        Sentence(
+            "Of {} fisheyes of a named projection {} are placed within 200 m. Of {} fisheyes whose "
+            "projection nothing names {} gets an answer, and of {} such panoramas {}, {} of them "
+            "wrong",
+            _projections,
         ),
         Sentence(
             "Of {} real photographs of other mountains, with unknown fields of view, {} got an "

@@ -34,7 +34,7 @@ STAGES = (
 )  # fmt: skip
 """Stages of a search, in order. The last one ranks what the others have kept."""
 _NEAREST = 7
-"""So many places count as near, however far they are: fits climb to a pose's nearest places."""
+"""The nearest places of a pose, to which fits climb; they count as near however far they are."""
 
 
 class _Watched(LocalShard):
