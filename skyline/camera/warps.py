@@ -1,4 +1,4 @@
-"""What bends a picture: distortion of lenses, and wander of panoramas."""
+"""How pictures are bent: the distortion of lenses, and the wander of panoramas."""
 
 from __future__ import annotations
 

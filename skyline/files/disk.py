@@ -1,6 +1,6 @@
-"""Files on disk: read, written whole or not at all, and told apart.
+"""Reading files, and writing them whole or not at all.
 
-Marks tell Skyline's own files from others, versions and digests a file from what it was.
+Marks tell Skyline's own files from others. Versions and digests show whether a file has changed.
 """
 
 import hashlib

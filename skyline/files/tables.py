@@ -225,7 +225,7 @@ def _records(
 
 
 def _by_column(where: str, header: Sequence[str], cells: Sequence[str]) -> dict[str, str]:
-    """Return a row's cells by column; raises `InputError` for more cells."""
+    """Return a row's cells by column; raises `InputError` for too many cells."""
     if any(cells[len(header) :]):
         raise InputError(
             f"{where} has {len(cells)} cells; expected {len(header)} for "

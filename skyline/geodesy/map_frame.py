@@ -254,7 +254,7 @@ class Frame:
         return error_deg if is_truer else 0.0
 
     def untrue_in_words(self, rectangle_m: Rectangle) -> str:
-        """Return what is wrong on the map of a rectangle; "" if acceptable."""
+        """Return how far off angles are in a rectangle, or "" if acceptable."""
         error_deg = self.untrue_deg(rectangle_m)
         if not error_deg:
             return ""

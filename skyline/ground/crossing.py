@@ -185,7 +185,7 @@ class _Seen:
     def off(
         self, position_m: Float64Array, curvature: Curvature
     ) -> tuple[Float64Array, Float64Array]:
-        """Return how far (2,) the ray is off a position's direction.
+        """Return the angles (2,) between the ray and a position's direction.
 
         The second result (2, 3) has the derivatives of that direction by the position. Azimuths are
         in radians, elevations are tangents.

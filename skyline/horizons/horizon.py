@@ -201,5 +201,5 @@ def steps_a_turn(step_deg: float) -> int:
 
 
 def rendered_steps(steps: int) -> int:
-    """Return the least multiple of a turn's steps that can be rendered."""
+    """Return the steps to render: the fewest that include all ``steps`` of a turn."""
     return math.lcm(steps, _LEAST_STEPS)

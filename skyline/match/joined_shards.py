@@ -67,16 +67,16 @@ class JoinedShards:
 
         The scores are of several photos, and the places lie within the narrowings of all priors.
         """
-        by_area = [prior.in_frames(self.frames) for prior in priors]
+        by_photo_and_area = [prior.in_frames(self.frames) for prior in priors]
         kept = Alike.joined([])
         least = -math.inf
 
         def screened(number: int) -> Alike:
             shard = self._shards[number]
-            there = [its_priors[self._area_of_shard[number]] for its_priors in by_area]
+            own_priors = [of_photo[self._area_of_shard[number]] for of_photo in by_photo_and_area]
             first = self._first_row[number]
-            told = partial(_report_part, report, first / len(self), len(shard) / len(self))
-            alike = shard.screened(screens, there, count, least, told)
+            report_own = partial(_report_part, report, first / len(self), len(shard) / len(self))
+            alike = shard.screened(screens, own_priors, count, least, report_own)
             return replace(alike, row=first + alike.row)
 
         for alike in self._asked(partial(screened, number) for number in range(len(self._shards))):

@@ -280,7 +280,7 @@ def _factor_at_nodes(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Remainder:
-    """What height errors leave of residuals, with its variances."""
+    """Residuals once height errors have explained their part, with variances."""
 
     off_rad: Float64Array
     """(M, R) float64. Residuals less the part that height errors explain."""
@@ -314,7 +314,7 @@ class _Remainder:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Mixture:
-    """What columns may show: the bare terrain's skyline, or something else."""
+    """Each column shows the bare terrain's skyline, or something else."""
 
     bare: Float64Array | float
     """(M, R) float64. Prior probability of the bare terrain's skyline."""
@@ -384,7 +384,7 @@ def _beyond_share(
 
 
 def cost_of_share(columns: Float64Array, temperature: float) -> Float64Array:
-    """Return what it costs each pose (M,) to choose its own share.
+    """Return the price (M,) that each pose pays for a share of its own.
 
     A share s says in how much of a pose's open ``columns`` (M,), weighed by trust, terrain past
     the data's edge rises. Where it rises in none, each share has the likelihood (1 - s)^columns.

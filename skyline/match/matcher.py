@@ -498,7 +498,7 @@ class Matcher(Closeable):
     def _found_together(
         self, photos: Sequence[_Search], top: int, report: StepProgress
     ) -> list[_Search]:
-        """Return photos with their common candidates, as far as they agree."""
+        """Return the photos; those that agree have their common candidates."""
         usable = {
             number: photo.known for number, photo in enumerate(photos) if photo.known is not None
         }

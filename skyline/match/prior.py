@@ -1,4 +1,4 @@
-"""What user and EXIF tell of a photo's pose, in a frame."""
+"""What a user and a photo's EXIF say of its pose, in a frame."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -37,7 +37,7 @@ class Prior:
     position: PositionPrior | None = None
     """Prior of the position, from the photo's EXIF."""
     noted: NotedPlace | None = None
-    """What the EXIF notes."""
+    """The position and heading that the photo's EXIF notes."""
     surroundings: Circle | None = None
     """The circle of the surroundings in degrees, if only these are searched."""
 

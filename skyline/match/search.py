@@ -36,7 +36,7 @@ _SHORTLIST_SHARE = 1 / 1500
 _SEPARATION_M = 100.0
 """Least distance between candidates."""
 _EYES = 20_000
-"""About as many eyes are returned of very many."""
+"""A store of more places returns about this many eyes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,9 +44,9 @@ class SearchEffort:
     """How many poses a search refines, and how thoroughly."""
 
     quick: RefinementEffort = QUICK
-    """RefinementEffort for the first short list, and for the surroundings of answers."""
+    """The effort for the first short list, and for the surroundings of answers."""
     whole: RefinementEffort = WHOLE
-    """RefinementEffort for the last short list."""
+    """The effort for the last short list."""
     sure_margin: float = 75.0
     """A quick refinement is enough where its best pose leads all others by this margin."""
     least_shortlist: int = 400

@@ -188,7 +188,7 @@ class Solver:
         return precision
 
     def _widest_sd(self) -> Float64Array:
-        """Return deviations (P,) of unknowns of which the skyline tells nothing."""
+        """Return the deviations (P,) of unknowns before the skyline says anything."""
         sd = np.full(self.size, np.inf)
         sd[[EAST, NORTH]] = _PRIORS.position_sd_m
         sd[EYE_HEIGHT] = max(self._eye.scale_m, _LEAST_SD_M)

@@ -21,7 +21,7 @@ _STEP_DEG = 0.125
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DayTask:
-    """A day at positions."""
+    """Positions on a model, and the day on which the sun is followed there."""
 
     dem: Sequence[str]
     """Elevation files, or folders of them."""
@@ -63,7 +63,7 @@ def horizons_on_day(task: DayTask, listener: Listener) -> LocalHorizons:
 def standpoints_on_day(
     task: DayTask, summit: tuple[float, float], listener: Listener
 ) -> list[tuple[Body, Standpoint]]:
-    """Return from where sun and moon are over a summit.
+    """Return the places from which sun or moon stand over a summit.
 
     A note says if there is no such place. Raises as `standpoints`.
     """

@@ -1,4 +1,4 @@
-"""Whether a CRS that a user names contradicts the one that elevation files name."""
+"""The CRS that a user names, checked against the one that elevation files name."""
 
 from collections.abc import Sequence
 from contextlib import suppress
@@ -22,7 +22,7 @@ apart. Datums of older surveys lie 100 m aside."""
 
 
 def check_named_crs(names: Sequence[str], crs: str) -> None:
-    """Raise `InputError` if a CRS places rasters elsewhere than their own.
+    """Raise `InputError` if a CRS places rasters elsewhere than their own does.
 
     The first raster that names a CRS speaks for all. A CRS in which its coordinates are no place,
     such as degrees of a raster in metres, is meant for other files. ``names`` are those of

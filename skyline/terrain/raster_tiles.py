@@ -325,7 +325,7 @@ def _described_unit(description: str) -> str:
 
 
 def _check_quantity(source: str, name: object, tags: Mapping[str, Any], vertical: Vertical) -> None:
-    """Raise `InputError` for values that their name tells from heights.
+    """Raise `InputError` for values whose name says that they are no heights.
 
     Slopes and shaded reliefs of decimals may lie between the heights of flat land, so their values
     do not give them away. A unit says that values are heights, whatever their name.
