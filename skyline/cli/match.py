@@ -22,6 +22,7 @@ from skyline.cli.photo_options import (
     Heading,
     HeadingSlack,
     Near,
+    PhotoSpotFile,
     ProbabilityMap,
     ReportPeaks,
     SamePlace,
@@ -77,6 +78,7 @@ def match(
     eye_height: CameraHeight = None,
     projection: PhotoProjection = None,
     same_place: SamePlace = False,
+    photo_spots: PhotoSpotFile = None,
     use_gps: UseGps = False,
     walked: Walked = None,
     matcher: Annotated[
@@ -113,6 +115,7 @@ def match(
         bounds,
         heading_of(heading, heading_slack),
         eye_height,
+        photo_spots,
         use_gps,
         peaks,
     )
@@ -125,7 +128,7 @@ def match(
         stores=stores,
         entries=entries,
         common=common,
-        inputs=photos,
+        inputs=[*photos, *filter(None, [photo_spots])],
         matcher=matcher,
         dem=dem or (),
         surface=surface or (),

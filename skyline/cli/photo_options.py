@@ -14,6 +14,7 @@ from skyline.errors import InputError, numbers_in
 from skyline.geodesy.bounds import Circle
 from skyline.match.narrowing import NOTED_KM, Narrowing
 from skyline.match.photo_lists import Entry
+from skyline.match.photo_spots import SPOT_FILES, read_spots
 from skyline.report.exports import EXPORTS
 from skyline.report.posterior_files import POSTERIOR_FILES
 from skyline.view.peaks import find_place
@@ -97,6 +98,15 @@ CameraHeight = Annotated[
         show_default="found with the pose",
     ),
 ]
+PhotoSpotFile = Annotated[
+    Path | None,
+    _known(
+        "--photo-spots",
+        metavar="FILE",
+        help="Prefer places near spots that people photograph from, such as summits, viewpoints "
+        f"and trails: points and lines ({', '.join(SPOT_FILES)}).",
+    ),
+]
 UseGps = Annotated[
     bool, _known("--use-gps", help="Prefer places near each photo's own GPS position.")
 ]
@@ -150,19 +160,21 @@ def entry_of(
     bounds: str | None,
     heading_deg: tuple[float, float] | None,
     eye_height_m: float | None,
+    photo_spots: Path | None,
     use_gps: bool,
     peaks: Path | None,
 ) -> Entry:
     """Return an entry with the options that hold for every photo.
 
-    Raises `InputError` for a value that is out of range. ``heading_deg`` is a heading and its
-    greatest error.
+    ``heading_deg`` is a heading and its greatest error. Raises `InputError` for a value that is out
+    of range, and as `read_spots`.
     """
     narrowing = Narrowing(
         near=None if near is None else parse_near(near, peaks),
         bounds_deg=None if bounds is None else parse_bounds(bounds),
         heading_deg=heading_deg,
         eye_height_m=eye_height_m,
+        photo_spots=() if photo_spots is None else read_spots(photo_spots),
         use_gps=use_gps,
     )
     return Entry("", fov_deg, None, projection, narrowing)

@@ -466,8 +466,9 @@ class Matcher(Closeable):
         photos, candidates = _searched(result)
         known = [self._rays_and_prior(skyline, narrowing) for skyline, narrowing in photos]
         fitted, places = self._method.likely_places(known, report_progress)
-        positions = (prior.position for _, prior in known if prior.position is not None)
-        return Findings(candidates, fitted, places, next(positions, None))
+        priors = [prior for _, prior in known]
+        noted = (prior for prior in priors if prior.position is not None)
+        return Findings(candidates, fitted, places, next(noted, priors[0]))
 
     def _read(
         self,

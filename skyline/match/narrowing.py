@@ -1,11 +1,12 @@
 """Narrowings: what a user knows of a photo's pose before the search."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from skyline.errors import InputError, numbers_of, swapped_in_words
-from skyline.geodesy.bounds import Circle, check_bounds
+from skyline.geodesy.bounds import Circle, are_degrees, check_bounds
 
 NOTED_KM = 10.0
 """Radius of a search around a position that a photo notes, or around a named place."""
@@ -32,6 +33,9 @@ class Narrowing:
         The lowest and the highest elevation of the camera, metres above the DEM's datum.
     eye_height_m : float, optional
         Height of the camera above the ground; by default it is found with the pose.
+    photo_spots : sequence of (float, float)
+        Longitudes and latitudes of places that people photograph from: summits, viewpoints, points
+        along trails. They pull the search, and never bound it.
     use_gps : bool
         Whether the place and the direction in the photo's own EXIF pull the search. They never
         bound it: a distant place wins where its skyline fits well enough.
@@ -47,6 +51,7 @@ class Narrowing:
     heading_deg: tuple[float, float] | None = None
     elevation_m: tuple[float, float] | None = None
     eye_height_m: float | None = None
+    photo_spots: tuple[tuple[float, float], ...] = ()
     use_gps: bool = False
 
     def __post_init__(self) -> None:
@@ -68,6 +73,7 @@ class Narrowing:
             if not 0.0 <= height_m <= 1e5:
                 raise InputError(error)
             object.__setattr__(self, "eye_height_m", height_m)
+        object.__setattr__(self, "photo_spots", tuple(map(_spot, self.photo_spots)))
 
 
 def _check_near(lon: float, lat: float, radius_km: float) -> None:
@@ -78,6 +84,15 @@ def _check_near(lon: float, lat: float, radius_km: float) -> None:
         f"near is {lon:g},{lat:g},{radius_km:g}; expected longitude and latitude in degrees and a "
         "radius above 0 km" + (f"; {swapped_in_words(lon, lat)}" if is_swapped else "")
     )
+
+
+def _spot(given: Sequence[float]) -> tuple[float, float]:
+    """Return a spot's longitude and latitude; raises `InputError` for anything else."""
+    error = f"a photo spot is {given!r:.60}; expected longitude and latitude in degrees"
+    lon, lat = numbers_of(given, 2, error)
+    if not are_degrees(lon, lat):
+        raise InputError(error)
+    return lon, lat
 
 
 def _check_heading(heading_deg: float, slack_deg: float) -> None:

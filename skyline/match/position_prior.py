@@ -1,14 +1,8 @@
-r"""The prior of a position and a heading that a photo notes.
+"""The prior of a position and a heading that a photo notes.
 
-A position from EXIF has a long-tailed error: it is usually near the truth, with an error like a
-two-dimensional Cauchy distribution, and now and then it is the position of another photo or an old
-fix of the phone. The density of the true place at distance d from a noted position is therefore
-
-.. math::
-
-    p(d) = \frac{1 - w}{2 \pi s^2} \left(1 + \frac{d^2}{s^2}\right)^{-3/2} + \frac{w}{A}
-
-and a distant place is never less likely than in a search of area A without a noted position.
+A position from EXIF has a long-tailed error: it is usually near the truth, and now and then it is
+the position of another photo or an old fix of the phone. So the true place has a `PlaceDensity`
+about the noted one.
 """
 
 from dataclasses import dataclass, replace
@@ -24,6 +18,7 @@ from skyline.match.noted_errors import (
     noted_heading_sd_deg,
     noted_position_scale_m,
 )
+from skyline.match.place_density import PlaceDensity, PlacePrior
 from skyline.photo.noted_place import NotedPlace
 
 
@@ -32,9 +27,7 @@ class _Wrong:
     """Assumptions about positions and headings that are wrong altogether."""
 
     share: float = 0.05
-    """w, the share of wrong positions: an assumption."""
-    anywhere_m2: float = 1e9
-    """A, a circle of 18 km: the area of a search without a noted position."""
+    """Share of wrong positions: an assumption."""
     compass_share: float = 0.2
     """Share of photos whose compass was disturbed, as by a car, a railing or a case."""
 
@@ -43,13 +36,13 @@ _WRONG = _Wrong()
 
 
 @dataclass(frozen=True, slots=True)
-class PositionPrior:
+class PositionPrior(PlacePrior):
     """Prior density of a camera's position and heading, from a photo's EXIF."""
 
     easting_m: float
     northing_m: float
     scale_m: float
-    """Scale s of the position's error."""
+    """Scale of the position's error."""
     grid_heading_deg: float | None = None
     """Grid azimuth of the optical axis."""
     heading_sd_deg: float = NOTED_ERRORS.compass_sd_deg
@@ -94,12 +87,8 @@ class PositionPrior:
     def cost(
         self, position_m: Complex128Array, eye_m: Float64Array, heading_rad: Float64Array
     ) -> Float64Array:
-        """Return the negative log (M,) of poses' density over an even one's.
-
-        ``position_m`` holds eastings, and northings as the imaginary part; headings are grid
-        azimuths of the optical axis.
-        """
-        cost = -np.log(_WRONG.share + self._peak * self._tail(position_m) ** -1.5)
+        """Return the cost (M,) of poses; see `PlacePrior`."""
+        cost = self._density.cost(self._off_m(position_m))
         if self.grid_heading_deg is not None:
             turn = np.degrees(heading_rad) - self.grid_heading_deg
             off = wrapped_deg(turn) / self.heading_sd_deg
@@ -114,16 +103,9 @@ class PositionPrior:
     def pull(
         self, position_m: Complex128Array, eye_m: Float64Array
     ) -> tuple[Float64Array, Float64Array]:
-        """Return the normal distribution that pulls eyes like this density.
-
-        The results are its precisions (M, 3) along easting, northing and elevation, and the offsets
-        (M, 3) of the eyes from the noted place, metres; precision times offset is the gradient of
-        `cost`.
-        """
-        tail = self._tail(position_m)
-        pull = 3.0 * self._peak * tail**-2.5 / self.scale_m**2
-        across = pull / (_WRONG.share + self._peak * tail**-1.5)
-        off = position_m - complex(self.easting_m, self.northing_m)
+        """Return the pull (M, 3) to the noted place, and offsets (M, 3); see `PlacePrior`."""
+        off = self._off_m(position_m)
+        across = self._density.precision(off)
         offset_m = np.column_stack([off.real, off.imag, np.zeros_like(eye_m)])
         precision = np.stack([across, across, np.zeros_like(across)], axis=1)
         if self.elevation_m is not None:
@@ -133,9 +115,8 @@ class PositionPrior:
         return precision, offset_m
 
     @property
-    def _peak(self) -> float:
-        return (1.0 - _WRONG.share) * _WRONG.anywhere_m2 / (2.0 * np.pi * self.scale_m**2)
+    def _density(self) -> PlaceDensity:
+        return PlaceDensity(self.scale_m, _WRONG.share)
 
-    def _tail(self, position_m: Complex128Array) -> Float64Array:
-        off = position_m - complex(self.easting_m, self.northing_m)
-        return np.asarray(1.0 + (off.real**2 + off.imag**2) / self.scale_m**2)
+    def _off_m(self, position_m: Complex128Array) -> Complex128Array:
+        return position_m - complex(self.easting_m, self.northing_m)

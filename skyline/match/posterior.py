@@ -26,15 +26,16 @@ the areas a that they represent:
     p_q(x) = f \sum_k \frac{e^{-C_k / T}}{\sum e^{-C / T}} N(x; x_k, t^2) +
     (1 - f) \sum_i \frac{a_i e^{b z_i}}{\sum a\, e^{b z}} N(x; x_i, t^2 + a_i / 4)
 
-The settings of `Spread` are learned. Where a photo notes its place, both sums are also weighted
-by the density of `skyline.match.position_prior`.
+The settings of `Spread` are learned. Where a photo notes its place, or photo spots are given, both
+sums are also weighted by the densities of `skyline.match.position_prior` and
+`skyline.match.photo_spots`.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -46,7 +47,7 @@ from skyline.errors import InputError, library
 from skyline.files.cf import METRES
 from skyline.geodesy.cell_grid import CellGrid
 from skyline.geodesy.map_frame import Frame
-from skyline.match.position_prior import PositionPrior
+from skyline.match.prior import NOTHING_KNOWN, Prior
 from skyline.match.screen import AlikePlaces
 from skyline.pose.pose import RIGHT_WITHIN_M, ROUGHLY_WITHIN_M, Pose
 from skyline.pose.poses import Poses
@@ -110,14 +111,15 @@ class Findings:
         Poses that fit without rendering.
     places : AlikePlaces
         The places that were searched, one or more.
-    position : PositionPrior or None
-        The place that the photo notes. Candidates' confidences already allow for it.
+    prior : Prior
+        The place that the photo notes, and photo spots. Candidates' confidences already allow for
+        them.
     """
 
     candidates: Sequence[Pose]
     fitted: Poses
     places: AlikePlaces
-    position: PositionPrior | None = None
+    prior: Prior = NOTHING_KNOWN
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -288,7 +290,7 @@ def posterior_of(found: Findings, frame: Frame, grid: CellGrid | None = None) ->
     ``frame`` is the frame of its places and poses. By default the grid is the one around the places
     and the candidates.
     """
-    fitted, places, position = found.fitted, found.places, found.position
+    fitted, places, prior = found.fitted, found.places, found.prior
     shares = _shares_of(found.candidates)
     spots, left = shares.spots, shares.none_right
     layer = _Layer(grid or grid_around([found]))
@@ -300,11 +302,11 @@ def posterior_of(found: Findings, frame: Frame, grid: CellGrid | None = None) ->
         layer.add_round(best.easting_m, best.northing_m, wide_m, np.array([shares.roughly]))
     by_fits = SPREAD.fitted_share * left if len(fitted) else 0.0
     if by_fits:
-        gain = _log_prior(fitted, position) - fitted.cost / SPREAD.temperature
+        gain = prior.log_density(fitted) - fitted.cost / SPREAD.temperature
         share = by_fits * _softmax(gain)
         sd_m = np.full(len(fitted), SPREAD.around_m)
         layer.add_round(fitted.easting_m, fitted.northing_m, sd_m, share)
-    gain = _log_prior(places, position) + SPREAD.score_weight * places.score
+    gain = prior.log_density(places) + SPREAD.score_weight * places.score
     weight = _softmax(gain + 2.0 * np.log(places.tolerance_m))
     sd_m = np.hypot(SPREAD.around_m, places.tolerance_m)
     layer.add_round(places.easting_m, places.northing_m, sd_m, (left - by_fits) * weight)
@@ -331,15 +333,6 @@ def _shares_of(candidates: Sequence[Pose]) -> _Shares:
     unknown = ((SPREAD.unknown_sd_m**2, 0.0), (0.0, SPREAD.unknown_sd_m**2))
     covariance_m2 = np.array([one.covariance_m2 or unknown for one in candidates])
     return _Shares(_Spots(place[:, 0], place[:, 1], covariance_m2, share), roughly, left)
-
-
-def _log_prior(at: Poses | AlikePlaces, position: PositionPrior | None) -> Float64Array:
-    """Return the log density (N,) of places by the noted place, unnormalized."""
-    none = np.zeros(len(at))
-    if position is None:
-        return none
-    position_only = replace(position, grid_heading_deg=None, elevation_m=None)
-    return -position_only.cost(at.easting_m + 1j * at.northing_m, none, none)
 
 
 def _softmax(values: Float64Array) -> Float64Array:

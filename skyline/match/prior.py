@@ -6,12 +6,15 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from skyline.angles import angle_between_deg
-from skyline.arrays import BoolArray
+from skyline.arrays import BoolArray, Float64Array
 from skyline.errors import swapped_in_words
 from skyline.geodesy.bounds import Circle
 from skyline.geodesy.map_frame import Frame, Rectangle, in_rectangle
 from skyline.match.narrowing import Narrowing
+from skyline.match.photo_spots import NEAR_SPOT_M, PhotoSpots
+from skyline.match.place_density import PlacePrior
 from skyline.match.position_prior import PositionPrior
+from skyline.match.screen import AlikePlaces
 from skyline.photo.noted_place import NotedPlace
 from skyline.pose.poses import Poses
 from skyline.store.places import Places
@@ -38,8 +41,12 @@ class Prior:
     """Prior of the position, from the photo's EXIF."""
     noted: NotedPlace | None = None
     """The position and heading that the photo's EXIF notes."""
+    spots: PhotoSpots | None = None
+    """Prior of the position, from the narrowing's photo spots."""
     surroundings: Circle | None = None
     """The circle of the surroundings in degrees, if only these are searched."""
+    only_near_spots: bool = False
+    """Whether only places near the photo spots are searched."""
 
     @classmethod
     def of(
@@ -48,6 +55,7 @@ class Prior:
         frame: Frame,
         noted: NotedPlace | None = None,
         surroundings: Circle | None = None,
+        only_near_spots: bool = False,
     ) -> "Prior":
         """Return a narrowing in a frame, with the prior from EXIF.
 
@@ -58,7 +66,18 @@ class Prior:
         circles = (frame.circle_m(one) for one in (narrowing.near, surroundings) if one)
         if narrowing.bounds_deg is not None:
             rectangle = frame.rectangle_m(narrowing.bounds_deg)
-        return cls(narrowing, frame, tuple(circles), rectangle, position, noted, surroundings)
+        spots = PhotoSpots.of(narrowing.photo_spots, frame) if narrowing.photo_spots else None
+        return cls(
+            narrowing,
+            frame,
+            circles_m=tuple(circles),
+            rectangle_m=rectangle,
+            position=position,
+            noted=noted,
+            spots=spots,
+            surroundings=surroundings,
+            only_near_spots=only_near_spots,
+        )
 
     def in_frames(self, frames: Sequence[Frame]) -> "list[Prior]":
         """Return this prior in each of several frames, its own first.
@@ -68,7 +87,8 @@ class Prior:
         if len(frames) < 2:
             return [self]
         others = (
-            Prior.of(self.narrowing, frame, self.noted, self.surroundings) for frame in frames[1:]
+            Prior.of(self.narrowing, frame, self.noted, self.surroundings, self.only_near_spots)
+            for frame in frames[1:]
         )
         priors = [self, *others]
         position = next((prior.position for prior in priors if prior.position is not None), None)
@@ -77,6 +97,19 @@ class Prior:
         # In a frame that does not reach the noted place, all places are far from it.
         far = replace(position, easting_m=_FAR_M, northing_m=_FAR_M, grid_heading_deg=None)
         return [replace(prior, position=prior.position or far) for prior in priors]
+
+    @property
+    def of_place(self) -> tuple[PlacePrior, ...]:
+        """The priors of the place."""
+        return tuple(one for one in (self.position, self.spots) if one is not None)
+
+    def log_density(self, positions: Places | Poses | AlikePlaces) -> Float64Array:
+        """Return the log density (N,) of positions, unnormalized."""
+        position_m = positions.easting_m + 1j * positions.northing_m
+        none = np.zeros(len(positions))
+        position = self.position and replace(self.position, grid_heading_deg=None, elevation_m=None)
+        place_only = replace(self, position=position)
+        return -sum((one.cost(position_m, none, none) for one in place_only.of_place), none)
 
     def contains(self, positions: Places | Poses) -> BoolArray:
         """Return which positions (N,) lie within the circles, bounds and elevations."""
@@ -89,6 +122,8 @@ class Prior:
             inside &= (easting_m - east) ** 2 + (northing_m - north) ** 2 <= radius_m**2
         if self.rectangle_m is not None:
             inside &= in_rectangle(self.rectangle_m, easting_m, northing_m)
+        if self.only_near_spots and self.spots is not None:
+            inside &= self.spots.are_near(easting_m + 1j * northing_m)
         return inside
 
     def allows(self, poses: Poses, frames: Sequence[Frame] = ()) -> BoolArray:
@@ -125,6 +160,10 @@ class Prior:
             self, circles_m=(*self.circles_m, frame.circle_m(circle)), surroundings=circle
         )
 
+    def near_spots(self) -> "Prior | None":
+        """Return this prior narrowed to places near the photo spots, or None."""
+        return None if self.spots is None else replace(self, only_near_spots=True)
+
     def near_noted(self) -> "Prior | None":
         """Return this prior narrowed to the noted place's surroundings, or None."""
         if self.position is None or self.frame is None:
@@ -144,6 +183,8 @@ class Prior:
             given.append((place, 1000.0 * radius_km))
         if self.narrowing.bounds_deg is not None:
             given.append((self.narrowing.bounds_deg, 0.0))
+        if self.only_near_spots:
+            given.append((self.narrowing.photo_spots[0], NEAR_SPOT_M))
         for degrees, reach_m in given:
             if self.frame is None:
                 continue

@@ -265,10 +265,13 @@ class Retriever:
 
     def _no_place_error(self, priors: Sequence[Prior]) -> NoPlaceError:
         hints = (prior.swap_hint(self._sample) for prior in priors)
-        return NoPlaceError(
-            "no place of the store lies within what the search is narrowed to; widen it, or build "
-            "a store of that area" + next(filter(None, hints), "")
+        why = (
+            "no place that is searched is near one of the photo spots; give spots of that area"
+            if any(prior.only_near_spots for prior in priors)
+            else "no place of the store lies within what the search is narrowed to; widen it, or "
+            "build a store of that area"
         )
+        return NoPlaceError(why + next(filter(None, hints), ""))
 
     def _screens(self, rays: Rays, prior: Prior) -> tuple[Screen, Screen]:
         """Return the coarse and the fine screen of a photo."""

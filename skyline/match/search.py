@@ -180,13 +180,13 @@ class FullMatcher(SearchMethod):
         retrieved = next(lists)
         if self._areas[0].scene is None:
             return FoundPoses(next(lists, retrieved), None)
-        noted = self._near_noted(rays, prior, report)
-        starts = _with_noted(retrieved, noted)
+        likely = self._about_likely_places(rays, prior, report)
+        starts = _with_likely(retrieved, likely)
         poses = self._refined(effort.quick, rays, prior, starts, report)
         if len(poses) and poses.figures().margin[0] > effort.sure_margin:
             return FoundPoses(retrieved, poses)
         retrieved = next(lists, retrieved)
-        starts = _with_noted(retrieved, noted)
+        starts = _with_likely(retrieved, likely)
         poses = self._refined(effort.whole, rays, prior, starts, report)
         if len(self._places) > effort.large_area:
             poses = self._with_surroundings(rays, prior, poses, report)
@@ -316,7 +316,7 @@ class FullMatcher(SearchMethod):
         `InputError` without a scene.
         """
         scene = self._needed_scene()
-        photos = _with_one_noted_place(photos)
+        photos = _with_one_prior_of_place(photos)
         whole = self.effort.whole
         found = [self.found(rays, prior, report) for rays, prior in photos]
         refinements = [
@@ -363,10 +363,19 @@ class FullMatcher(SearchMethod):
             raise InputError(BY_RENDERING)
         return scene
 
-    def _near_noted(self, rays: Rays, prior: Prior, report: StepProgress) -> Poses | None:
-        """Return the poses retrieved around the photo's noted place; None without one."""
-        near_noted = prior.near_noted()
-        return None if near_noted is None else self._retrieved_in(near_noted, rays, report)
+    def _about_likely_places(self, rays: Rays, prior: Prior, report: StepProgress) -> list[Poses]:
+        """Return the poses retrieved around the photo's noted place, and around photo spots.
+
+        Raises `NoPlaceError` if no place that is searched is near a spot.
+        """
+        near_noted, near_spots = prior.near_noted(), prior.near_spots()
+        found = []
+        if near_noted is not None:
+            found.append(self._retrieved_in(near_noted, rays, report))
+        if near_spots is not None:
+            count = self.effort.nearby_shortlist
+            found.append(self._retriever.shortlist(rays, count, near_spots, report))
+        return [poses for poses in found if poses is not None]
 
     def _retrieved_in(
         self, surroundings: Prior, rays: Rays, report: StepProgress = silent
@@ -389,28 +398,40 @@ def _with_confidence(poses: Poses, sure: tuple[Float64Array, Float64Array]) -> P
     return replace(poses, confidence=near, confidence_1km=roughly)
 
 
-def _with_noted(found: Poses, near: Poses | None) -> Poses:
-    """Return retrieved poses with those around the photo's noted place.
+def _with_likely(found: Poses, likely: Sequence[Poses]) -> Poses:
+    """Return retrieved poses with those around likely places.
 
-    The costs of those around it are shifted until their best equals the best of the others, and
-    refinement decides.
+    The costs of those around a likely place are shifted until their best equals the best of the
+    others, and refinement decides.
     """
-    if near is None or not len(near) or not len(found):
+    if not len(found):
         return found
-    shifted = near.cost - near.cost.min() + found.cost.min()
-    return Poses.concatenate([found, replace(near, cost=shifted)])
+    shifted = [
+        replace(near, cost=near.cost - near.cost.min() + found.cost.min())
+        for near in likely
+        if len(near)
+    ]
+    return Poses.concatenate([found, *shifted])
 
 
-def _with_one_noted_place(
+def _with_one_prior_of_place(
     photos: Sequence[tuple[Rays, Prior]],
 ) -> list[tuple[Rays, Prior]]:
-    """Return photos with the most precise noted place alone.
+    """Return photos of one place with the most precise noted place, and the first spots, alone.
 
-    Positions that one phone notes share their error, so they do not count as independent.
+    Positions that one phone notes share their error, and one place is near a spot once, so they do
+    not count as independent.
     """
     positions = [prior.position for _, prior in photos if prior.position is not None]
     best = min(positions, key=lambda position: position.scale_m, default=None)
     return [
-        (rays, prior if prior.position is best else replace(prior, position=None))
-        for rays, prior in photos
+        (
+            rays,
+            replace(
+                prior,
+                position=prior.position if prior.position is best else None,
+                spots=None if number else prior.spots,
+            ),
+        )
+        for number, (rays, prior) in enumerate(photos)
     ]

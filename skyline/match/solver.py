@@ -20,7 +20,7 @@ from skyline.match.likelihood import (
     density_without_terrain,
     likelihood,
 )
-from skyline.match.position_prior import PositionPrior
+from skyline.match.place_density import PlacePrior
 from skyline.match.rays import Rays, thinned
 from skyline.pose.pose_errors import ASSUMED, EAST, HEADING, LOG_SCALE, NORTH, PITCH, ROLL, WARP
 from skyline.pose.poses import Poses
@@ -134,8 +134,8 @@ class Solver:
     """Fits the pose of one photo to curves.
 
     The rays are averaged within the mode's steps of azimuth. ``height_sd_m`` is the expected
-    standard deviation of the terrain model's heights, ``position`` the prior from the photo's EXIF.
-    Without ``edge`` no terrain is taken to lie past the data.
+    standard deviation of the terrain model's heights, ``of_place`` the priors of the place. Without
+    ``edge`` no terrain is taken to lie past the data.
     """
 
     def __init__(
@@ -144,13 +144,13 @@ class Solver:
         mode: SolverMode,
         eye: EyeHeightPrior,
         height_sd_m: float,
-        position: PositionPrior | None = None,
+        of_place: Sequence[PlacePrior] = (),
         edge: DataEdge | None = None,
     ) -> None:
         self.rays = thinned(rays, mode.bins)
         self.mode = mode
         self._eye = eye
-        self._position = position
+        self._of_place = of_place
         self._edge = edge
         self.height_sds_m = _HEIGHT_SHARES * height_sd_m
         """Standard deviations of the terrain model's heights that are tried."""
@@ -303,7 +303,7 @@ class Solver:
         """Return the covariance (M, P, P) of states, including the priors."""
         normal = found.product(linear.jacobian, linear.jacobian)
         normal += self._information_at(fit.state)
-        self._pull_to_position(linear, normal, np.zeros(normal.shape[:2]))
+        self._pull_to_likely_places(linear, normal, np.zeros(normal.shape[:2]))
         return np.asarray(np.linalg.inv(normal))
 
     def _information_at(self, state: Float64Array) -> Float64Array:
@@ -378,10 +378,8 @@ class Solver:
         cost += _PRIORS.lens_weight * self.rays.lens.cost(state[:, LOG_SCALE])
         cost += _PRIORS.terrain_weight * self._eye.cost(state[:, EYE_HEIGHT])
         cost += cost_of_share(open_columns, TEMPERATURE)
-        if self._position is not None:
-            cost += TEMPERATURE * self._position.cost(
-                linear.position_m, linear.eye_m, state[:, HEADING]
-            )
+        for prior in self._of_place:
+            cost += TEMPERATURE * prior.cost(linear.position_m, linear.eye_m, state[:, HEADING])
         return np.asarray(cost)
 
     def _with_deviations(
@@ -453,20 +451,19 @@ class Solver:
         normal += (precision + damping)[:, np.newaxis] * np.eye(self.size)
         gradient = found.product(linear.jacobian, miss)[..., 0] + precision * off
         gradient[:, LOG_SCALE] -= found.log_scale_pull(miss[:, 0])
-        self._pull_to_position(linear, normal, gradient)
+        self._pull_to_likely_places(linear, normal, gradient)
         return normal, gradient
 
-    def _pull_to_position(
+    def _pull_to_likely_places(
         self, linear: Linearization, normal: Float64Array, gradient: Float64Array
     ) -> None:
-        """Add the pull to EXIF's place to normal equations, in place."""
-        if self._position is None:
-            return
-        precision, offset_m = self._position.pull(linear.position_m, linear.eye_m)
-        precision *= TEMPERATURE
-        gradient[:, MOVE] += precision * offset_m
-        for axis in (EAST, NORTH, EYE_HEIGHT):
-            normal[:, axis, axis] += precision[:, axis]
+        """Add the pulls to likely places to normal equations, in place."""
+        for prior in self._of_place:
+            precision, offset_m = prior.pull(linear.position_m, linear.eye_m)
+            precision *= TEMPERATURE
+            gradient[:, MOVE] += precision * offset_m
+            for axis in (EAST, NORTH, EYE_HEIGHT):
+                normal[:, axis, axis] += precision[:, axis]
 
 
 def _solved(state: Float64Array, normal: Float64Array, gradient: Float64Array) -> Float64Array:

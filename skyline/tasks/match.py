@@ -82,7 +82,7 @@ class MatchTask:
     common: Entry = Entry("")  # noqa: RUF009  (it is frozen)
     """What is known of every photo."""
     inputs: Sequence[Path] = ()
-    """Files that the user has named as photos: no output replaces them."""
+    """Files that the user has named as photos or spots: no output replaces them."""
     matcher: str = FULL
     """``unrefined``, or as for `Matcher`."""
     dem: Sequence[str] = ()
@@ -145,6 +145,10 @@ class MatchTask:
             (
                 self.common.narrowing.use_gps and self.matcher == UNREFINED,
                 f"--use-gps works in refinement; {no_refinement}",
+            ),
+            (
+                self.common.narrowing.photo_spots and self.matcher == UNREFINED,
+                f"--photo-spots works in refinement; {no_refinement}",
             ),
             (
                 self.same_place and self.matcher != FULL,

@@ -59,3 +59,34 @@ def test_a_search_narrowed_to_nothing_writes_no_report(run, store, photo, tmp_pa
         done = run(*command, *area, "--report", tmp_path / "report")
         assert_refused(done)
     assert not (tmp_path / "report").exists()
+
+
+def test_places_near_photo_spots_are_preferred(run, store, dem, photo, tmp_path):
+    lon, lat = lonlat_of(dem, 601_800.0, 5_178_000.0)
+    spots = csv_of(tmp_path / "spots.csv", [f"{lon},{lat}"], "lon,lat")
+    plain, preferred = (
+        retrieved(run, store, photo, "--matcher", "full", *options)[0]
+        for options in ((), ("--photo-spots", spots))
+    )
+    assert off_m(preferred) < 20.0
+    assert preferred["cost"] < plain["cost"] - 8.0
+
+
+@pytest.mark.parametrize(
+    ("spot", "error"),
+    [
+        ("9.0,46.0", "near one of the photo spots; give spots of that area\n"),
+        ("46.75,10.33", "longitude and latitude seem to be swapped: give 10.33,46.75"),
+    ],
+)
+def test_photo_spots_far_from_the_places_searched_are_refused(
+    run, store, photo, tmp_path, spot, error
+):
+    spots = csv_of(tmp_path / "spots.csv", [spot], "lon,lat")
+    assert_refused(run("match", store, photo, "--fov-deg", "60", "--photo-spots", spots), error)
+
+
+def test_photo_spots_need_refinement(run, store, photo, tmp_path):
+    spots = csv_of(tmp_path / "spots.csv", ["10.33,46.75"], "lon,lat")
+    done = run("match", store, photo, "--matcher", "unrefined", "--photo-spots", spots)
+    assert_refused(done, "--photo-spots works in refinement; leave --matcher unrefined out")

@@ -120,6 +120,14 @@ def test_a_noted_place_draws_a_photo_in_the_area_that_has_it(matcher, skylines):
     assert drawn.cost < plain.cost
 
 
+def test_photo_spots_draw_a_photo_in_the_area_that_has_them(matcher, skylines):
+    plain = matcher.match(skylines[1]).answer
+    spots = Narrowing(photo_spots=((plain.lon, plain.lat),))
+    drawn = matcher.match(skylines[1], narrowing=spots).answer
+    assert drawn.area == 1
+    assert drawn.cost < plain.cost
+
+
 def test_a_pose_is_fitted_on_the_model_of_its_area(matcher, skylines):
     best = matcher.match(skylines[1]).answer
     fitted = matcher.fit(skylines[1], best).candidates[0]

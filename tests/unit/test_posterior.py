@@ -106,7 +106,7 @@ def test_fitted_poses_share_what_no_candidate_has():
 
 def test_places_near_the_one_that_a_photo_notes_are_preferred():
     noted = PositionPrior(3000.0, 1000.0, 30.0)
-    posterior = posterior_of(Findings([], NO_FITS, grid_of_places(), noted), FRAME)
+    posterior = posterior_of(Findings([], NO_FITS, grid_of_places(), Prior(position=noted)), FRAME)
     # Its error exceeds 600 m in 5 % of photos, and in 5 % it is the place of another photo.
     assert within(posterior, 3000.0, 1000.0, 600.0) > 0.9
 
