@@ -62,8 +62,8 @@ class JointResult:
         return next((one for one in self.results if one.candidates), None)
 
     @property
-    def places(self) -> tuple[Pose, ...]:
-        """The places, best first.
+    def candidates(self) -> tuple[Pose, ...]:
+        """The common candidates, best first.
 
         They have the camera of the first photo that agrees.
         """
@@ -73,9 +73,9 @@ class JointResult:
     def answer(self) -> Pose | None:
         """The best place, if it is sure enough to be the answer.
 
-        The camera is as in `places`.
+        The camera is as in `candidates`.
         """
-        return self.places[0] if self.places and not self.refusal else None
+        return self.candidates[0] if self.candidates and not self.refusal else None
 
     @property
     def within_m(self) -> float | None:
@@ -94,7 +94,7 @@ class JointResult:
         """
         places = [
             {name: value for name, value in one.to_dict().items() if name not in _OF_CAMERA}
-            for one in self.places
+            for one in self.candidates
         ]
         photos = []
         for one, agrees in zip(self.results, self.agrees, strict=True):
@@ -118,9 +118,9 @@ class JointResult:
         """Return the lines that ``skyline match --same-place`` prints."""
         lines = [f"{len(self.results)} photos of one place ({self.seconds:.2f} s)"]
         lines += verdict_lines(self, "place 1")
-        if self.places:
+        if self.candidates:
             lines.append("places, best first:")
-        for number, one in enumerate(self.places, start=1):
+        for number, one in enumerate(self.candidates, start=1):
             lines.append(f"{number}. {place_in_words(one)}  {quality_in_words(one)}")
         for result in self.results:
             refused = f"does not agree: {result.refusal}"

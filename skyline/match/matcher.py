@@ -463,12 +463,12 @@ class Matcher(Closeable):
         self, result: MatchResult | JointResult, report_progress: StepProgress
     ) -> Findings:
         """Compare all places with the photos of a result once more."""
-        photos, candidates = _searched(result)
+        photos = _searched(result)
         known = [self._rays_and_prior(skyline, narrowing) for skyline, narrowing in photos]
         fitted, places = self._method.likely_places(known, report_progress)
         priors = [prior for _, prior in known]
         noted = (prior for prior in priors if prior.position is not None)
-        return Findings(candidates, fitted, places, next(noted, priors[0]))
+        return Findings(result.candidates, fitted, places, next(noted, priors[0]))
 
     def _read(
         self,
@@ -603,16 +603,14 @@ class Matcher(Closeable):
         return rays, Prior.of(narrowing, self.areas[0].frame, noted)
 
 
-def _searched(
-    result: MatchResult | JointResult,
-) -> tuple[list[tuple[PhotoSkyline, Narrowing]], Sequence[Pose]]:
-    """Return the skylines and narrowings of a search, and its candidates.
+def _searched(result: MatchResult | JointResult) -> list[tuple[PhotoSkyline, Narrowing]]:
+    """Return the skylines and narrowings of a search.
 
     For photos of one place, only those that agree are returned, or all if none does. Raises
     `InputError` for a result that is not from a search.
     """
     if isinstance(result, MatchResult) and result.narrowing is not None:
-        return [(result.skyline, result.narrowing)], result.candidates
+        return [(result.skyline, result.narrowing)]
     if not isinstance(result, JointResult):
         raise InputError(
             "a posterior takes the result of `match` or of `match_together`, one at a time"
@@ -622,7 +620,7 @@ def _searched(
         for one, narrowing in zip(result.results, result.narrowings, strict=True)
     ]
     agreeing = [photo for photo, agrees in zip(photos, result.agrees, strict=True) if agrees]
-    return agreeing or photos, result.places
+    return agreeing or photos
 
 
 def _without_search(pose: Pose, refusal: str | None) -> Pose:

@@ -181,9 +181,9 @@ def test_photos_of_one_place_have_one_answer_and_a_stranger_is_named(
     with Matcher(store, terrain, config=BOLD) as matcher:
         found = matcher.match_together(photos, top=3)
     assert found.agrees == (True, False, True, False)
-    assert found.answer is found.places[0]
+    assert found.answer is found.candidates[0]
     # Also a place where no photo fits is known no better than its skyline tells.
-    assert min(place.radius_m for place in found.places) > 0.5
+    assert min(place.radius_m for place in found.candidates) > 0.5
     within_m = 3.0 * np.sqrt(np.trace(found.answer.covariance_m2))
     # Costs, and so precisions, count less by the temperature.
     assert error_m(found.answer, first.truth) < within_m < 60.0 * np.sqrt(TEMPERATURE)
@@ -210,7 +210,7 @@ def test_one_photo_with_a_skyline_among_two_has_no_answer(store, terrain, photos
     first = photos_of_two_places[0][0].skyline
     with Matcher(store, terrain, config=BOLD) as matcher:
         little = matcher.match_together([first, BARE])
-    assert (little.answer, little.places) == (None, ())
+    assert (little.answer, little.candidates) == (None, ())
     assert "fewer than two photos" in little.refusal
     assert "no other photo shows enough skyline" in little.results[0].refusal
 
@@ -223,7 +223,7 @@ def test_a_narrowing_of_one_photo_holds_for_the_place(store, terrain):
     with Matcher(store, terrain, config=BOLD) as matcher:
         found = matcher.match_together(skylines, narrowings=[None, near])
     there = replace(first.truth, easting_m=first.truth.easting_m + 500.0)
-    assert all(error_m(place, there) < 301.0 for place in found.places)
+    assert all(error_m(place, there) < 301.0 for place in found.candidates)
 
 
 def test_photos_of_one_place_are_not_matched_without_rendering(

@@ -153,10 +153,9 @@ def trial_of(
 
     Nothing is right for a stranger.
     """
-    places = result.places if isinstance(result, JointResult) else result and result.candidates
-    if result is None or not places:
+    if result is None or not result.candidates:
         return Trial(distance_m(query))
-    best = places[0]
+    best = result.candidates[0]
     truth = query[0].truth
     named = False
     turn_deg = float(angle_between_deg(best.grid_heading_deg, truth.grid_heading_deg))
