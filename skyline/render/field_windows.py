@@ -49,8 +49,8 @@ class GpuLimits:
 
     field_cells: int = 5120
     """Cells along a side of the largest field that is one window: its textures take some 0.9 GB."""
-    window_cells: int = 2048
-    """Cells along a side of the windows of larger fields."""
+    window_cells: int = 1280
+    """Cells along a side of the windows of larger fields. One eye sees few of them."""
     resident_samples: int = 1 << 27
     """Number of samples whose windows stay on the GPU, at some 36 bytes a sample: 4.8 GB hold
     650,000 km2 of a model of 70 m. A build that loads windows anew for each few hundred views

@@ -93,11 +93,11 @@ class Eyes:
     def __len__(self) -> int:
         return len(self._order)
 
-    def groups(self, is_marked: BoolArray) -> Iterator[EyeGroup]:
-        """Yield the marked eyes (N,) for each occurring heading and precision."""
-        kind = 2 * self._heading.astype(np.int64) + self._is_double
-        for value in np.unique(kind[is_marked]):
-            rows = np.flatnonzero(is_marked & (kind == value))
+    def groups(self, of: IntArray) -> Iterator[EyeGroup]:
+        """Yield the eyes ``of`` for each occurring heading and precision."""
+        kind = 2 * self._heading[of].astype(np.int64) + self._is_double[of]
+        for value in np.unique(kind):
+            rows = of[kind == value]
             yield EyeGroup(rows, heading=int(value) // 2, is_double=bool(value % 2))
 
     def in_order(self, values: NDArray[_Scalar]) -> NDArray[_Scalar]:
@@ -117,56 +117,92 @@ class Eyes:
 
     def nearest_of(self, windows: Sequence[Window]) -> IntArray:
         """Return the index (N,) of each eye's own or nearest window."""
-        gap_m = np.stack([np.hypot(*self._gap_m(one).T) for one in windows])
-        return np.asarray(gap_m.argmin(axis=0))
+        return np.asarray(np.hypot(*np.moveaxis(self._gap_m(windows), -1, 0)).argmin(axis=0))
 
-    def may_rise_to(
-        self, v: Float32Array, u: Float64Array, window: Window, highest_m: float, drop_per_m2: float
-    ) -> BoolArray:
-        """Return which eyes (N,) may see a window above skylines (N, W).
+    def aims(self, u: Float64Array) -> Float64Array:
+        """Return the abscissas (N, W) at which the columns of each eye aim.
 
-        The window's heights are at most ``highest_m``. ``u`` (W,) are the columns' abscissas before
-        the eyes are turned.
+        ``u`` (W,) are the columns' abscissas before the eyes are turned.
         """
-        right, ahead = self._across_and_ahead(window)
-        # In a wedge of 90 degrees the depth is at least the distance over the root of 2.
-        gap_m = self._gap_m(window)
-        nearest = np.maximum(ahead[0], np.hypot(*gap_m.T) / np.sqrt(2.0))
-        drop_m = drop_per_m2 * (gap_m[:, 0] ** 2 + gap_m[:, 1] ** 2)
-        # A metre covers all rounding.
-        up_m = highest_m - self._elevation_m + 1.0 - drop_m
-        bound = up_m / np.maximum(np.where(up_m > 0.0, nearest, ahead[1]), 1e-3)
-        # The abscissas between which the window lies, a rectangle whose sides face the camera.
-        close, far = np.maximum(ahead, 1e-3)
-        first_u = right[0] / np.where(right[0] > 0.0, far, close)
-        last_u = right[1] / np.where(right[1] > 0.0, close, far)
         turn = self._turn_tan[:, np.newaxis]
-        aim = (u + turn) / (1.0 - u * turn)
-        faces = (aim > first_u[:, np.newaxis] - _TOUCHED_U) & (
-            aim < last_u[:, np.newaxis] + _TOUCHED_U
+        return (u + turn) / (1.0 - u * turn)
+
+    def outlook(
+        self, windows: Sequence[Window], highest_m: Sequence[float], drop_per_m2: float
+    ) -> "Outlook":
+        """Return how windows lie before the eyes, with heights of at most ``highest_m``."""
+        right, ahead = self._across_and_ahead(windows)
+        # In a wedge of 90 degrees the depth is at least the distance over the root of 2.
+        gap_m = self._gap_m(windows)
+        nearest = np.maximum(ahead[0], np.hypot(*np.moveaxis(gap_m, -1, 0)) / np.sqrt(2.0))
+        drop_m = drop_per_m2 * (gap_m**2).sum(axis=-1)
+        # A metre covers all rounding.
+        up_m = np.array(highest_m)[:, np.newaxis] - self._elevation_m + 1.0 - drop_m
+        highest_v = up_m / np.maximum(np.where(up_m > 0.0, nearest, ahead[1]), 1e-3)
+        # The abscissas between which a window lies, a rectangle whose sides face the camera.
+        close, far = np.maximum(ahead, 1e-3)
+        return Outlook(
+            highest_v=np.where(ahead[1] > 0.0, highest_v, -np.inf),
+            first_u=right[0] / np.where(right[0] > 0.0, far, close),
+            last_u=right[1] / np.where(right[1] > 0.0, close, far),
         )
-        is_lower = v < bound[:, np.newaxis]
-        return np.asarray((ahead[1] > 0.0) & (faces & is_lower).any(axis=1))
 
-    def _across_and_ahead(self, window: Window) -> tuple[Float64Array, Float64Array]:
-        """Return a window's extent across and ahead of the eyes, metres.
+    def _across_and_ahead(self, windows: Sequence[Window]) -> tuple[Float64Array, Float64Array]:
+        """Return the extents of K windows across and ahead of the eyes, metres.
 
-        Each has the least (N,) and the greatest distance (N,), of either sign.
+        Each has the least (K, N) and the greatest distance (K, N), of either sign.
         """
-        first = np.array([window.row, window.col])
-        edges = np.stack([first, first + np.array([window.rows, window.cols]) - 1])
-        south, east = np.moveaxis((edges[:, np.newaxis] - self._position) * self._spacing_m, -1, 0)
+        edges = np.stack(_corners(windows))[:, :, np.newaxis]
+        south, east = np.moveaxis((edges - self._position) * self._spacing_m, -1, 0)
         turn = np.stack([rotation(heading)[::2, ::2] for heading in HEADINGS])[self._heading]
         ground = np.stack([east, -south], axis=-1)
-        right, ahead = np.moveaxis(np.einsum("ngk,enk->eng", turn, ground), -1, 0)
+        right, ahead = np.moveaxis(np.einsum("ngk,ewnk->ewng", turn, ground), -1, 0)
         return np.sort(right, axis=0), np.sort(ahead, axis=0)
 
-    def _gap_m(self, window: Window) -> Float64Array:
-        """Return the eyes' distances (N, 2) from a window's rows and columns, metres."""
-        first = np.array([window.row, window.col])
-        last = first + np.array([window.rows, window.cols]) - 1
+    def _gap_m(self, windows: Sequence[Window]) -> Float64Array:
+        """Return the eyes' distances (K, N, 2) from the rows and columns of K windows, metres."""
+        first, last = (corner[:, np.newaxis] for corner in _corners(windows))
         outside = np.maximum(np.maximum(first - self._position, self._position - last), 0.0)
         return np.asarray(outside * self._spacing_m, dtype=np.float64)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Outlook:
+    """How K windows lie before N eyes."""
+
+    highest_v: Float64Array
+    """(K, N). Greatest v that a window may have; -inf for one behind the eye."""
+    first_u: Float64Array
+    """(K, N). Least abscissa at which a window is seen."""
+    last_u: Float64Array
+    """(K, N). Greatest abscissa at which it is seen."""
+
+    def rises_before(
+        self, window: int, of: IntArray, v: Float32Array, aims: Float64Array
+    ) -> IntArray:
+        """Return before which of the eyes ``of`` a window may rise above their skylines.
+
+        The skylines are ``v`` (N, W), at the abscissas ``aims`` (N, W).
+        """
+        first_u = self.first_u[window, of, np.newaxis] - _TOUCHED_U
+        last_u = self.last_u[window, of, np.newaxis] + _TOUCHED_U
+        faces = (aims[of] > first_u) & (aims[of] < last_u)
+        is_lower = v[of] < self.highest_v[window, of, np.newaxis]
+        return np.asarray(of[(faces & is_lower).any(axis=1)])
+
+
+def _corners(windows: Sequence[Window]) -> tuple[IntArray, IntArray]:
+    """Return row and column (K, 2) of the first and of the last samples of windows."""
+    first = np.array([(one.row, one.col) for one in windows])
+    return first, first + [(one.rows - 1, one.cols - 1) for one in windows]
+
+
+def _rings_between(windows: Sequence[Window]) -> IntArray:
+    """Return how far each window (K,) is from each (K,): 0 for itself, 1 for its neighbours."""
+    places = [(window.row, window.col) for window in windows]
+    rows, cols = (np.unique(one, return_inverse=True)[1] for one in np.transpose(places))
+    off = [np.abs(one[:, np.newaxis] - one) for one in (rows, cols)]
+    return np.asarray(np.maximum(*off))
 
 
 def split_float(values: Float64Array) -> tuple[Float32Array, Float32Array]:
@@ -256,6 +292,7 @@ class ColumnRenderer(Renderer):
         self._aims.filter = (moderngl.NEAREST, moderngl.NEAREST)
         self._results: tuple[moderngl.Buffer, ...] = ()
         self._windows = Window.all_of(field, self._limits)
+        self._rings = _rings_between(self._windows)
         self._resident: dict[Window, WindowTextures] = {}
 
     @in_context
@@ -303,15 +340,9 @@ class ColumnRenderer(Renderer):
         self._reserve(len(eyes))
         home = eyes.nearest_of(self._windows)
         for index in np.unique(home):
-            self._march(self._windows[index], eyes, home == index, is_first=True)
-        # In a fixed order, so that a view is the same in any batch, its marks of holes included.
-        for index, window in enumerate(self._windows):
-            may_rise = (home != index) & self._may_rise(window, eyes)
-            if may_rise.any():
-                # A window that is loaded knows its greatest height, the field perhaps only a bound.
-                self._load(window)
-                may_rise &= self._may_rise(window, eyes)
-                self._march(window, eyes, may_rise, is_first=False)
+            self._march(self._windows[index], eyes, np.flatnonzero(home == index), is_first=True)
+        if len(self._windows) > 1:
+            self._march_on(eyes, home)
         v, depth, flags = (
             eyes.in_order(self._read(index, len(eyes), kind))
             for index, kind in enumerate(("<f4", "<f4", "<u4"))
@@ -350,18 +381,47 @@ class ColumnRenderer(Renderer):
         data = self._results[index].read()[: 4 * rows * self.width]
         return np.frombuffer(data, kind).reshape(rows, self.width)
 
-    def _may_rise(self, window: Window, eyes: Eyes) -> BoolArray:
-        """Return for which eyes (N,) a window may raise the skyline."""
+    def _march_on(self, eyes: Eyes, home: IntArray) -> None:
+        """Raise the eyes' skylines by the windows around their own, which is ``home`` (N,).
+
+        Near windows come first, since near terrain hides most of what lies behind it. Their order
+        depends on an eye alone, so that a view is the same in any batch, its marks of holes
+        included.
+        """
+        ring = self._rings[:, home]
+        drop_per_m2 = self.curvature.drop_per_m2
+        bounds_m = [self._highest_m(window) for window in self._windows]
+        outlook = eyes.outlook(self._windows, bounds_m, drop_per_m2)
+        aims = eyes.aims(self._u)
+        lowest_v = self._read(0, len(eyes), "<f4").min(axis=1)
+        # Skylines only rise: most windows are too low from the beginning.
+        ring = np.where(lowest_v < outlook.highest_v, ring, 0)
+        for number in range(1, int(ring.max(initial=0)) + 1):
+            for index in np.flatnonzero((ring == number).any(axis=1)).tolist():
+                of = np.flatnonzero(ring[index] == number)
+                v = self._read(0, len(eyes), "<f4")
+                of = outlook.rises_before(index, of, v, aims)
+                if not len(of):
+                    continue
+                window = self._windows[index]
+                if window not in self._resident:
+                    # Of a window that is not loaded, the field may know a bound alone.
+                    highest_m = self._load(window).highest_m
+                    known = eyes.outlook([window], [highest_m], drop_per_m2)
+                    outlook.highest_v[index] = known.highest_v[0]
+                    of = outlook.rises_before(index, of, v, aims)
+                self._march(window, eyes, of, is_first=False)
+
+    def _highest_m(self, window: Window) -> float:
+        """Return the greatest height of a window, or a bound on it.
+
+        -inf where it has none.
+        """
         if window in self._resident:
-            highest_m = self._resident[window].highest_m
-        else:
-            rows = slice(window.row, window.row + window.rows)
-            cols = slice(window.col, window.col + window.cols)
-            highest_m = self.field.highest_m(rows, cols)
-        if highest_m == -np.inf:
-            return np.zeros(len(eyes), dtype=bool)
-        v = self._read(0, len(eyes), "<f4")
-        return eyes.may_rise_to(v, self._u, window, highest_m, self.curvature.drop_per_m2)
+            return self._resident[window].highest_m
+        rows = slice(window.row, window.row + window.rows)
+        cols = slice(window.col, window.col + window.cols)
+        return self.field.highest_m(rows, cols)
 
     def _load(self, window: Window) -> WindowTextures:
         """Return a window's textures.
@@ -384,14 +444,14 @@ class ColumnRenderer(Renderer):
             del self._resident[oldest]
         self._ctx.gc()
 
-    def _march(self, window: Window, eyes: Eyes, is_marked: BoolArray, *, is_first: bool) -> None:
-        """March over a window from the marked eyes (N,).
+    def _march(self, window: Window, eyes: Eyes, of: IntArray, *, is_first: bool) -> None:
+        """March over a window from the eyes ``of``.
 
         ``is_first`` is whether no march has written the results of these eyes before.
         """
         textures = self._load(window)
         placed = eyes.relative_to(window)
-        for group in eyes.groups(is_marked):
+        for group in eyes.groups(of):
             self._march_group(textures, placed[group.rows], group, is_first)
 
     def _march_group(
