@@ -19,6 +19,8 @@ EXPECTED = (
     "GPX or a GeoPackage of the map"
 )
 """The files of vectors that are read, as errors name them."""
+EXPECTED_ON_MAP = "expected points, lines or polygons of the map: GeoJSON, GPX or a GeoPackage"
+"""The same files without those of a photo."""
 CORNER_PX = 0.5
 """LabelMe, COCO, SVG and QGIS count pixels from the photo's corner; here pixel centres are at whole
 numbers."""

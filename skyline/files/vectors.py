@@ -19,6 +19,7 @@ from skyline.files.geojson import GEOJSON
 from skyline.files.shapes import (
     CORNER_PX,
     EXPECTED,
+    EXPECTED_ON_MAP,
     LINE,
     POINT,
     POLYGON,
@@ -42,13 +43,14 @@ _PARTS = {
 _LEAST_VERTICES = {POINT: 1, LINE: 2, POLYGON: 3}
 
 
-def read_vectors(path: Path, photo: Path, in_pixels: bool = False) -> Vectors:
+def read_vectors(path: Path, photo: Path | None = None, in_pixels: bool = False) -> Vectors:
     """Read the shapes of a file.
 
     Parameters
     ----------
-    photo : Path
-        The photo, whose annotations are read where a file has the annotations of several.
+    photo : Path, optional
+        The photo, whose annotations are read where a file has the annotations of several. Without
+        it, shapes are expected on the map.
     in_pixels : bool
         Whether GeoJSON is in pixels even if it does not say so. Rows that are all below 0 count
         upwards from the photo's upper edge, as QGIS has them.
@@ -59,7 +61,7 @@ def read_vectors(path: Path, photo: Path, in_pixels: bool = False) -> Vectors:
         There is no such file.
     InputError
         The file holds no shapes, or unknown kinds of shapes, or their coordinates are neither
-        pixels nor degrees.
+        pixels nor degrees, or are pixels although no photo is given.
     """
     suffix = path.suffix.lower()
     if suffix == ".gpkg":
@@ -70,6 +72,8 @@ def read_vectors(path: Path, photo: Path, in_pixels: bool = False) -> Vectors:
         vectors = read_svg(path)
     else:
         vectors = _of_json(path, photo, in_pixels)
+    if vectors.in_pixels and photo is None:
+        raise InputError(f"{path} is drawn in a photo; {EXPECTED_ON_MAP}")
     if not vectors.shapes:
         raise InputError(f"{path} holds no shapes; {EXPECTED}")
     for shape in vectors.shapes:
@@ -79,23 +83,24 @@ def read_vectors(path: Path, photo: Path, in_pixels: bool = False) -> Vectors:
                 f"expected {_LEAST_VERTICES[shape.kind]} or more"
             )
         if not vectors.in_pixels:
-            _check_degrees(path, shape)
+            _check_degrees(path, shape, photo)
     return vectors
 
 
-def _check_degrees(path: Path, shape: Shape) -> None:
+def _check_degrees(path: Path, shape: Shape, photo: Path | None) -> None:
     lon, lat = shape.vertices.T
     off = ~((np.abs(lon) <= 360.0) & (np.abs(lat) <= 90.0))
     if off.any():
         first = int(off.argmax())
+        or_pixels = f"--pixels if they are columns and rows of {photo}, else " if photo else ""
         raise InputError(
             f"{path}, {shape.where} has the coordinates {lon[first]:g},{lat[first]:g}, which are "
-            "not degrees, and the file names no CRS; give --pixels if they are columns and rows of "
-            "the photo, else the CRS in the file's member `crs`"
+            f"not degrees, and the file names no CRS; give {or_pixels}the CRS in the file's member "
+            "`crs`"
         )
 
 
-def _of_json(path: Path, photo: Path, in_pixels: bool) -> Vectors:
+def _of_json(path: Path, photo: Path | None, in_pixels: bool) -> Vectors:
     """Return the shapes of GeoJSON, LabelMe or COCO."""
     content = read_bytes(path, EXPECTED)
     try:
@@ -219,8 +224,10 @@ def _size_of(read: Mapping[str, Any], name: str) -> tuple[int, int] | None:
     return (int(width), int(height)) if width and height else None
 
 
-def _of_coco(path: Path, read: Mapping[str, Any], photo: Path) -> Vectors:
-    """Return the shapes of COCO's annotations of a photo."""
+def _of_coco(path: Path, read: Mapping[str, Any], photo: Path | None) -> Vectors:
+    """Return the shapes of COCO's annotations of a photo; none without one."""
+    if photo is None:
+        return Vectors(path, (), in_pixels=True)
     images = read.get("images") or []
     of_photo = [one for one in images if is_name_of(str(one.get("file_name")), photo)]
     if len(of_photo) != 1:

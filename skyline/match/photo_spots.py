@@ -30,7 +30,7 @@ SPOT_FILES = (".csv", *GEOJSON, ".gpx", ".gpkg")
 """Suffixes of files of spots."""
 _SCALE_M = 50.0
 """Scale of the distance from a spot: a summit is a plateau, a viewpoint has a car park."""
-_ELSEWHERE = 0.5
+_ELSEWHERE_SHARE = 0.5
 """Share of photos that are taken anywhere: an assumption."""
 NEAR_SPOT_M = 500.0
 """A search looks at all places within this distance of a spot."""
@@ -66,7 +66,7 @@ class PhotoSpots(PlacePrior):
         anywhere_m2 = 1e6 * ANYWHERE_KM2
         area_m2 = max(anywhere_m2, float(np.prod(np.ptp(spot_m, axis=0))))
         of_each_m2 = min(anywhere_m2, area_m2 / len(spot_m))
-        density = PlaceDensity(_SCALE_M, _ELSEWHERE, of_each_m2)
+        density = PlaceDensity(_SCALE_M, _ELSEWHERE_SHARE, of_each_m2)
         return cls(np.asarray(spot_m @ (1.0, 1j)), cKDTree(spot_m), density)
 
     def are_near(self, position_m: Complex128Array) -> BoolArray:
@@ -121,11 +121,8 @@ def read_spots(path: Path) -> tuple[tuple[float, float], ...]:
         if not spots:
             raise InputError(f"{path} holds no spots; {_EXPECTED}")
         return tuple(spots)
-    vectors = read_vectors(path, path)
-    if vectors.in_pixels:
-        raise InputError(f"{path} is drawn in a photo; {_EXPECTED}")
     rows = []
-    for shape in vectors.shapes:
+    for shape in read_vectors(path).shapes:
         if shape.kind == POLYGON:
             raise InputError(f"{path}, {shape.where} is a polygon; {_EXPECTED}")
         rows.append(_along(shape.vertices) if shape.kind == LINE else shape.vertices)

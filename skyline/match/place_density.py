@@ -7,7 +7,8 @@ scale s, and otherwise it has nothing to do with it. At distance d, the density 
 
     w + (1 - w) \frac{A}{2 \pi s^2} \left(1 + \frac{d^2}{s^2}\right)^{-3/2}
 
-and a distant place is hardly less likely than in a search of area A without a likely place.
+where A is the area over which the true place is spread without a likely one. A distant place keeps
+the share w of its density.
 """
 
 from dataclasses import dataclass
@@ -52,7 +53,7 @@ class PlaceDensity:
 
     scale_m: float
     """s."""
-    elsewhere: float
+    elsewhere_share: float
     """w, the share of true places that have nothing to do with the likely one."""
     anywhere_m2: float = 1e6 * ANYWHERE_KM2
     """A, the area over which the even density is spread."""
@@ -63,7 +64,7 @@ class PlaceDensity:
         ``off_m`` (M,) are offsets from the likely place: to the east, and to the north as the
         imaginary part.
         """
-        return -np.log(self.elsewhere + self._peak * self._tail(off_m) ** -1.5)
+        return -np.log(self.elsewhere_share + self._peak * self._tail(off_m) ** -1.5)
 
     def precision(self, off_m: Complex128Array) -> Float64Array:
         """Return the precision (M,) of the normal distribution that pulls like the density.
@@ -72,11 +73,11 @@ class PlaceDensity:
         """
         tail = self._tail(off_m)
         pull = 3.0 * self._peak * tail**-2.5 / self.scale_m**2
-        return np.asarray(pull / (self.elsewhere + self._peak * tail**-1.5))
+        return np.asarray(pull / (self.elsewhere_share + self._peak * tail**-1.5))
 
     @property
     def _peak(self) -> float:
-        return (1.0 - self.elsewhere) * self.anywhere_m2 / (2.0 * np.pi * self.scale_m**2)
+        return (1.0 - self.elsewhere_share) * self.anywhere_m2 / (2.0 * np.pi * self.scale_m**2)
 
     def _tail(self, off_m: Complex128Array) -> Float64Array:
         return np.asarray(1.0 + (off_m.real**2 + off_m.imag**2) / self.scale_m**2)

@@ -128,6 +128,8 @@ def test_waypoints_of_gpx_are_spots(tmp_path):
         ("a.txt", "9.8,46.8\n", "expected one of .csv"),
         ("a.svg", "<svg/>", "expected one of .csv"),
         ("a.json", '{"shapes": [{"points": [[1, 2]], "shape_type": "point"}]}', "drawn in a photo"),
+        ("a.json", '{"images": [], "annotations": []}', "drawn in a photo"),
+        ("a.json", '{"type": "Point", "coordinates": [6e5, 5e6]}', "no CRS; give the CRS in the"),
     ],
 )
 def test_a_file_that_holds_no_spots_is_refused(tmp_path, name, content, error):
