@@ -75,7 +75,7 @@ def read_vectors(path: Path, photo: Path | None = None, in_pixels: bool = False)
     if vectors.in_pixels and photo is None:
         raise InputError(f"{path} is drawn in a photo; {EXPECTED_ON_MAP}")
     if not vectors.shapes:
-        raise InputError(f"{path} holds no shapes; {EXPECTED}")
+        raise InputError(f"{path} holds no shapes; {EXPECTED if photo else EXPECTED_ON_MAP}")
     for shape in vectors.shapes:
         if min(map(len, shape.rings)) < _LEAST_VERTICES[shape.kind]:
             raise InputError(
