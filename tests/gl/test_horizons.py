@@ -5,7 +5,7 @@ import pytest
 from scenes import at_m, field_of
 
 from skyline.geodesy.earth import Curvature
-from skyline.render.field_windows import GpuLimits, Window
+from skyline.render.field_windows import GpuLimits, Window, WindowTextures
 from skyline.render.horizon import PanoramaRenderer
 from skyline.skylines import FLAG_HOLE, FLAG_TRUNCATED, quadrant_azimuths_rad
 from skyline.terrain.viewpoints import stand_on
@@ -92,6 +92,25 @@ def test_an_eye_sees_the_same_through_windows_in_any_batch(rough):
     for index in range(len(eyes)):
         alone = render(field, eyes[index : index + 1], limits=few)
         assert_same(alone, together[index : index + 1])
+
+
+def test_terrain_behind_a_near_rim_is_not_loaded(monkeypatch):
+    """Seven by seven windows of 20 cells: 500 m all over, and a rim of 1,000 m round the middle."""
+    heights = np.full((141, 141), 500.0, dtype=np.float32)
+    heights[50:91, 50:91] = 1000.0
+    heights[60:81, 60:81] = 0.0
+    field = field_of(heights, 30.0)
+    loaded = []
+    shared = WindowTextures.shared
+    monkeypatch.setattr(
+        WindowTextures, "shared", lambda *given: (loaded.append(given[-1]), shared(*given))[1]
+    )
+    tiles = GpuLimits(field_cells=20, window_cells=20)
+    with PanoramaRenderer(field, BINS, limits=tiles) as renderer:
+        horizons = renderer.render(stand_on(field, **at_m(field.to_map(70, 70))))
+    assert (horizons.elevation_tan > 2.0).all()
+    assert len(loaded) == 9
+    assert all(40 <= window.row <= 80 and 40 <= window.col <= 80 for window in loaded)
 
 
 @pytest.mark.slow
