@@ -538,7 +538,7 @@ class Matcher(Closeable):
             A pose at most some 100 m, 5 degrees of heading and a twentieth of the field of view
             from the true one.
         narrowing : Narrowing, optional
-            Only its eye height and its use of GPS count; the place may lie anywhere.
+            Only its eye height, photo spots and use of GPS count; the place may lie anywhere.
 
         Raises
         ------
