@@ -1,6 +1,6 @@
 """Narrowings: what a user knows of a photo's pose before the search."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -73,7 +73,7 @@ class Narrowing:
             if not 0.0 <= height_m <= 1e5:
                 raise InputError(error)
             object.__setattr__(self, "eye_height_m", height_m)
-        object.__setattr__(self, "photo_spots", tuple(map(_spot, self.photo_spots)))
+        object.__setattr__(self, "photo_spots", _spots(self.photo_spots))
 
 
 def _check_near(lon: float, lat: float, radius_km: float) -> None:
@@ -86,13 +86,20 @@ def _check_near(lon: float, lat: float, radius_km: float) -> None:
     )
 
 
-def _spot(given: Sequence[float]) -> tuple[float, float]:
-    """Return a spot's longitude and latitude; raises `InputError` for anything else."""
-    error = f"a photo spot is {given!r:.60}; expected longitude and latitude in degrees"
-    lon, lat = numbers_of(given, 2, error)
-    if not are_degrees(lon, lat):
-        raise InputError(error)
-    return lon, lat
+def _spots(given: Iterable[Sequence[float]]) -> tuple[tuple[float, float], ...]:
+    """Return the longitude and latitude of each spot; raises `InputError` for anything else."""
+    if isinstance(given, str) or not isinstance(given, Iterable):
+        raise InputError(
+            f"photo_spots is {given!r:.60}; expected the longitude and latitude of each spot"
+        )
+    spots = []
+    for one in given:
+        error = f"a photo spot is {one!r:.60}; expected longitude and latitude in degrees"
+        lon, lat = numbers_of(one, 2, error)
+        if not are_degrees(lon, lat):
+            raise InputError(error)
+        spots.append((lon, lat))
+    return tuple(spots)
 
 
 def _check_heading(heading_deg: float, slack_deg: float) -> None:

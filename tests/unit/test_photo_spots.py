@@ -148,3 +148,14 @@ def test_a_polygon_is_no_spot(tmp_path):
 def test_a_spot_is_a_longitude_and_a_latitude(given):
     with pytest.raises(InputError, match="a photo spot is"):
         Narrowing(photo_spots=[given])
+
+
+@pytest.mark.parametrize("given", [None, 9.8, "spots.csv"])
+def test_spots_are_pairs(given):
+    with pytest.raises(InputError, match="photo_spots is"):
+        Narrowing(photo_spots=given)
+
+
+def test_spots_may_be_an_array():
+    given = np.array([[9.8, 46.8], [9.9, 46.7]], dtype=np.float64)
+    assert Narrowing(photo_spots=given).photo_spots == ((9.8, 46.8), (9.9, 46.7))
