@@ -49,6 +49,8 @@ _EYE_DTYPE = np.dtype(
 ``turn_tan`` is the tangent of an angle by which all of an eye's columns are turned clockwise; none
 may leave the view of 90 degrees. The first value of ``row`` is the eye's row in the results.
 """
+_OUTLOOKS_AT_ONCE = 1 << 20
+"""Pairs of an eye and a window that are looked at together: they take some 0.2 GB."""
 _TOUCHED_U = 1e-5
 """A ray this close to a window, in u, counts as meeting it; this is more than any rounding."""
 
@@ -322,11 +324,12 @@ class ColumnRenderer(Renderer):
     def _skylines(
         self, viewpoints: Viewpoints, heading: UInt8Array, turn_rad: Float64Array
     ) -> Views:
-        """Render N views in batches whose results fit the GPU.
+        """Render N views in batches whose results fit the GPU, and whose outlooks the memory.
 
         The views are turned as `Eyes` says.
         """
-        at_once = max(self._limits.result_bytes // (12 * self.width), 1)
+        most = _OUTLOOKS_AT_ONCE // len(self._windows)
+        at_once = max(min(self._limits.result_bytes // (12 * self.width), most), 1)
         starts = range(0, max(len(viewpoints), 1), at_once)
         parts = [slice(start, start + at_once) for start in starts]
         views = Views.concatenate(
