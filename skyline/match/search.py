@@ -373,8 +373,9 @@ class FullMatcher(SearchMethod):
         if near_noted is not None:
             found.append(self._retrieved_in(near_noted, rays, report))
         if near_spots is not None:
+            # Few places are near a spot: a first short list is made from many of them.
             count = self.effort.nearby_shortlist
-            found.append(self._retriever.shortlist(rays, count, near_spots, report))
+            found.append(next(self._retriever.shortlists(rays, count, near_spots, report)))
         return [poses for poses in found if poses is not None]
 
     def _retrieved_in(
