@@ -20,7 +20,7 @@ EXPECTED = (
 )
 """The files of vectors that are read, as errors name them."""
 EXPECTED_ON_MAP = "expected points, lines or polygons of the map: GeoJSON, GPX or a GeoPackage"
-"""The same files without those of a photo."""
+"""The files of vectors on a map, as errors name them."""
 CORNER_PX = 0.5
 """LabelMe, COCO, SVG and QGIS count pixels from the photo's corner; here pixel centres are at whole
 numbers."""

@@ -21,7 +21,7 @@ from skyline.files.tables import read_table
 from skyline.files.vectors import read_vectors
 from skyline.geodesy.earth import EARTH_RADIUS_M
 from skyline.geodesy.map_frame import Frame
-from skyline.match.place_density import ANYWHERE_KM2, PlaceDensity, PlacePrior
+from skyline.match.place_density import ANYWHERE_KM2, OFF_MAP_M, PlaceDensity, PlacePrior
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
@@ -34,8 +34,6 @@ _ELSEWHERE_SHARE = 0.5
 """Share of photos that are taken anywhere: an assumption."""
 NEAR_SPOT_M = 500.0
 """A search looks at all places within this distance of a spot."""
-_FAR_M = 1e9
-"""Stands for a spot that is not on a map."""
 _EXPECTED = (
     "expected points, or lines such as trails, in degrees: a table with columns lon,lat, GeoJSON, "
     "GPX or a GeoPackage"
@@ -62,7 +60,7 @@ class PhotoSpots(PlacePrior):
         position_m = position_m[np.isfinite(position_m).all(axis=1)]
         # Spots in one cell count as one, or a trail's would count more, the more often it bends.
         _, first = np.unique(np.round(position_m / _SCALE_M), axis=0, return_index=True)
-        spot_m = position_m[first] if len(first) else np.full((1, 2), _FAR_M)
+        spot_m = position_m[first] if len(first) else np.full((1, 2), OFF_MAP_M)
         anywhere_m2 = 1e6 * ANYWHERE_KM2
         area_m2 = max(anywhere_m2, float(np.prod(np.ptp(spot_m, axis=0))))
         of_each_m2 = min(anywhere_m2, area_m2 / len(spot_m))
@@ -84,10 +82,7 @@ class PhotoSpots(PlacePrior):
         self, position_m: Complex128Array, eye_m: Float64Array
     ) -> tuple[Float64Array, Float64Array]:
         """Return the pull (M, 3) to the nearest spots, and offsets (M, 3); see `PlacePrior`."""
-        off = self._off_m(position_m)
-        across = self.density.precision(off)
-        offset_m = np.column_stack([off.real, off.imag, np.zeros_like(eye_m)])
-        return np.stack([across, across, np.zeros_like(across)], axis=1), offset_m
+        return self.density.pull(self._off_m(position_m))
 
     def _off_m(self, position_m: Complex128Array) -> Complex128Array:
         """Return the offsets (M,) of positions from their nearest spots."""

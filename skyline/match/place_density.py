@@ -20,6 +20,8 @@ from skyline.arrays import Complex128Array, Float64Array
 
 ANYWHERE_KM2 = 1000.0
 """The area of a search without a likely place: a circle of 18 km."""
+OFF_MAP_M = 1e9
+"""Easting and northing that stand for a place off the map."""
 
 
 class PlacePrior(Protocol):
@@ -66,14 +68,17 @@ class PlaceDensity:
         """
         return -np.log(self.elsewhere_share + self._peak * self._tail(off_m) ** -1.5)
 
-    def precision(self, off_m: Complex128Array) -> Float64Array:
-        """Return the precision (M,) of the normal distribution that pulls like the density.
+    def pull(self, off_m: Complex128Array) -> tuple[Float64Array, Float64Array]:
+        """Return the pull (M, 3) to the likely place, and offsets (M, 3); see `PlacePrior`.
 
-        Precision times offset is the gradient of `cost`.
+        Nothing pulls upwards.
         """
         tail = self._tail(off_m)
         pull = 3.0 * self._peak * tail**-2.5 / self.scale_m**2
-        return np.asarray(pull / (self.elsewhere_share + self._peak * tail**-1.5))
+        across = pull / (self.elsewhere_share + self._peak * tail**-1.5)
+        none = np.zeros(len(off_m))
+        offset_m = np.column_stack([off_m.real, off_m.imag, none])
+        return np.column_stack([across, across, none]), offset_m
 
     @property
     def _peak(self) -> float:

@@ -104,10 +104,7 @@ class PositionPrior(PlacePrior):
         self, position_m: Complex128Array, eye_m: Float64Array
     ) -> tuple[Float64Array, Float64Array]:
         """Return the pull (M, 3) to the noted place, and offsets (M, 3); see `PlacePrior`."""
-        off = self._off_m(position_m)
-        across = self._density.precision(off)
-        offset_m = np.column_stack([off.real, off.imag, np.zeros_like(eye_m)])
-        precision = np.stack([across, across, np.zeros_like(across)], axis=1)
+        precision, offset_m = self._density.pull(self._off_m(position_m))
         if self.elevation_m is not None:
             offset_m[:, 2] = eye_m - self.elevation_m
             spread = self.elevation_scale_m**2 + offset_m[:, 2] ** 2

@@ -1,4 +1,4 @@
-"""What a user and a photo's EXIF say of its pose, in a frame."""
+"""Prior knowledge of a photo's pose, from the user and from EXIF."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -12,15 +12,13 @@ from skyline.geodesy.bounds import Circle
 from skyline.geodesy.map_frame import Frame, Rectangle, in_rectangle
 from skyline.match.narrowing import Narrowing
 from skyline.match.photo_spots import NEAR_SPOT_M, PhotoSpots
-from skyline.match.place_density import PlacePrior
+from skyline.match.place_density import OFF_MAP_M, PlacePrior
 from skyline.match.position_prior import PositionPrior
 from skyline.match.screen import AlikePlaces
 from skyline.photo.noted_place import NotedPlace
 from skyline.pose.poses import Poses
 from skyline.store.places import Places
 
-_FAR_M = 1e9
-"""Stands for a place that is not on a map."""
 _REACH_M = 1000.0
 """A search looks within this distance of the noted place, plus `_REACH_SCALES` of its scales."""
 _REACH_SCALES = 3.0
@@ -95,12 +93,12 @@ class Prior:
         if position is None:
             return priors
         # In a frame that does not reach the noted place, all places are far from it.
-        far = replace(position, easting_m=_FAR_M, northing_m=_FAR_M, grid_heading_deg=None)
+        far = replace(position, easting_m=OFF_MAP_M, northing_m=OFF_MAP_M, grid_heading_deg=None)
         return [replace(prior, position=prior.position or far) for prior in priors]
 
     @property
-    def of_place(self) -> tuple[PlacePrior, ...]:
-        """The priors of the place."""
+    def place_priors(self) -> tuple[PlacePrior, ...]:
+        """The prior of the noted place, and the one of the photo spots, where there are any."""
         return tuple(one for one in (self.position, self.spots) if one is not None)
 
     def log_density(self, positions: Places | Poses | AlikePlaces) -> Float64Array:
@@ -109,7 +107,7 @@ class Prior:
         none = np.zeros(len(positions))
         position = self.position and replace(self.position, grid_heading_deg=None, elevation_m=None)
         place_only = replace(self, position=position)
-        return -sum((one.cost(position_m, none, none) for one in place_only.of_place), none)
+        return -sum((one.cost(position_m, none, none) for one in place_only.place_priors), none)
 
     def contains(self, positions: Places | Poses) -> BoolArray:
         """Return which positions (N,) lie within the circles, bounds and elevations."""

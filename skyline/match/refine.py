@@ -169,7 +169,7 @@ class Refinement:
         if prior.narrowing.eye_height_m is not None:
             eye = EyeHeightPrior(prior.narrowing.eye_height_m, 0.0)
         self.scout, self.rough, self.follow, self.fine = (
-            Solver(rays, mode, eye, scene.height_sd_m, prior.of_place, scene.edge)
+            Solver(rays, mode, eye, scene.height_sd_m, prior.place_priors, scene.edge)
             for mode in (SCOUT, ROUGH, FOLLOW, FINE)
         )
         self._rendered = 0

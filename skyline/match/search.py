@@ -316,7 +316,7 @@ class FullMatcher(SearchMethod):
         `InputError` without a scene.
         """
         scene = self._needed_scene()
-        photos = _with_one_prior_of_place(photos)
+        photos = _with_one_place_prior(photos)
         whole = self.effort.whole
         found = [self.found(rays, prior, report) for rays, prior in photos]
         refinements = [
@@ -415,7 +415,7 @@ def _with_likely(found: Poses, likely: Sequence[Poses]) -> Poses:
     return Poses.concatenate([found, *shifted])
 
 
-def _with_one_prior_of_place(
+def _with_one_place_prior(
     photos: Sequence[tuple[Rays, Prior]],
 ) -> list[tuple[Rays, Prior]]:
     """Return photos of one place with the most precise noted place, and the first spots, alone.

@@ -134,8 +134,8 @@ class Solver:
     """Fits the pose of one photo to curves.
 
     The rays are averaged within the mode's steps of azimuth. ``height_sd_m`` is the expected
-    standard deviation of the terrain model's heights, ``of_place`` the priors of the place. Without
-    ``edge`` no terrain is taken to lie past the data.
+    standard deviation of the terrain model's heights. Without ``edge`` no terrain is taken to lie
+    past the data.
     """
 
     def __init__(
@@ -144,13 +144,13 @@ class Solver:
         mode: SolverMode,
         eye: EyeHeightPrior,
         height_sd_m: float,
-        of_place: Sequence[PlacePrior] = (),
+        place_priors: Sequence[PlacePrior] = (),
         edge: DataEdge | None = None,
     ) -> None:
         self.rays = thinned(rays, mode.bins)
         self.mode = mode
         self._eye = eye
-        self._of_place = of_place
+        self._place_priors = place_priors
         self._edge = edge
         self.height_sds_m = _HEIGHT_SHARES * height_sd_m
         """Standard deviations of the terrain model's heights that are tried."""
@@ -378,7 +378,7 @@ class Solver:
         cost += _PRIORS.lens_weight * self.rays.lens.cost(state[:, LOG_SCALE])
         cost += _PRIORS.terrain_weight * self._eye.cost(state[:, EYE_HEIGHT])
         cost += cost_of_share(open_columns, TEMPERATURE)
-        for prior in self._of_place:
+        for prior in self._place_priors:
             cost += TEMPERATURE * prior.cost(linear.position_m, linear.eye_m, state[:, HEADING])
         return np.asarray(cost)
 
@@ -458,7 +458,7 @@ class Solver:
         self, linear: Linearization, normal: Float64Array, gradient: Float64Array
     ) -> None:
         """Add the pulls to likely places to normal equations, in place."""
-        for prior in self._of_place:
+        for prior in self._place_priors:
             precision, offset_m = prior.pull(linear.position_m, linear.eye_m)
             precision *= TEMPERATURE
             gradient[:, MOVE] += precision * offset_m

@@ -57,16 +57,16 @@ def test_its_pull_is_the_slope_of_the_cost():
     assert NOTED.pull(THERE, SEA)[0][0, 2] == 0.0
 
 
-@pytest.mark.parametrize("of_place", [(NOTED,), ()])
-def test_a_step_is_pulled_to_the_noted_place(of_place):
+@pytest.mark.parametrize("place_priors", [(NOTED,), ()])
+def test_a_step_is_pulled_to_the_noted_place(place_priors):
     rays = rays_of(*seen(hills, 350.0), 60.0)
-    solver = Solver(rays, FINE, EyeHeightPrior(2.0, 5.0), 5.0, of_place)
+    solver = Solver(rays, FINE, EyeHeightPrior(2.0, 5.0), 5.0, place_priors)
     eye = THERE + 60.0, SEA, np.zeros((1, 2)), np.full(1, 2.0)
     curves = Curves.of(*panorama_of(hills, distance_m=1e6), *eye)
     fit = solver.settle(curves, solver.start(poses(grid_heading_deg=350.0)))
     east = solver.improve(curves, fit, np.full(1, 1e4)).state[0, 0]
     # Terrain so far away does not constrain the place.
-    assert (east < -50.0) == bool(of_place)
+    assert (east < -50.0) == bool(place_priors)
 
 
 def test_no_eye_is_lower_than_a_camera_is_held():
